@@ -26,10 +26,10 @@ from benchmarks.studies.drawn_chains import draw_chain, simulate_chain
 from benchmarks.timing import Row, best_of
 from strainwave.domain import Experiment, Log
 from strainwave.dynamics.simulation import SensorNoise
+from strainwave.report.figures.log_figures import ShownRecord, View, time_figure
 from strainwave.virtual import scara
 from strainwave.virtual.experiments import simulate_study
 from strainwave.workbench.pages.by_hand import parameter_document
-from strainwave.workbench.pages.signal_figures import ShownRecord, View, time_figure
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page

@@ -96,9 +96,8 @@ class Runs:
         try:
             folder.mkdir(parents=True)
         except FileExistsError as error:
-            raise InvalidInput(
-                f"there is a run {name!r} already", remedy="choose another name"
-            ) from error
+            problem = f"there is a run {name!r} already"
+            raise InvalidInput(problem, remedy="choose another name") from error
         return folder
 
     def start(

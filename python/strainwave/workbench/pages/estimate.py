@@ -79,9 +79,8 @@ def option_arguments(values: Mapping[str, Any], study_path: Path) -> list[str]:
         try:
             with_options(study_at(study_path), [flag])
         except InvalidInput as error:
-            raise InvalidInput(
-                error.problem, where=name, remedy="correct the value, or empty the field"
-            ) from error
+            remedy = "correct the value, or empty the field"
+            raise InvalidInput(error.problem, where=name, remedy=remedy) from error
         arguments += ["--set", flag]
     return arguments
 
