@@ -26,9 +26,9 @@ from benchmarks.timing import Row, best_of
 from strainwave.domain import Experiment, Log
 from strainwave.dynamics.simulation import SensorNoise
 from strainwave.io.parameters import parameter_file
+from strainwave.report.figures.log_figures import ShownRecord, View, time_figure
 from strainwave.virtual import scara
 from strainwave.virtual.experiments import simulate_study
-from strainwave.workbench.pages.signal_figures import ShownRecord, View, time_figure
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page

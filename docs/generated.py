@@ -14,7 +14,7 @@ from textwrap import fill
 from strainwave.commands import command_texts
 from strainwave.domain.messages import catalogue
 from strainwave.domain.steps import STEPS
-from strainwave.domain.study import option_texts, study_keys
+from strainwave.domain.study import study_keys, study_options
 
 HERE = Path(__file__).parent
 _WIDTH = 120  # columns
@@ -66,9 +66,8 @@ def with_study_keys(page: str) -> str:
 
 def _with_options(page: str) -> str:
     rows = [
-        f"| `{stage}.{key}` | {text['default']} | {text['meaning']} {text['reason']} |"
-        for stage, each in option_texts().items()
-        for key, text in each["options"].items()
+        f"| `{each.name}` | {each.default} | {each.meaning} {each.reason} |"
+        for each in study_options()
     ]
     return _with_table(page, "stage, key | default | meaning, and reason of the default", rows)
 

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 import virtual_arms
 from command_line import Finished, run_here
+from signal_logs import log_with, motors
 from strainwave import pipeline
 from strainwave.domain import FloatArray, Log, Prbs
 from strainwave.dynamics import excitation
@@ -24,6 +25,7 @@ from strainwave.init.signal_features import (
     quantum,
     relation,
     sequence_of,
+    sequences_of,
     usual_counts,
     wrap_modulus,
 )
@@ -736,3 +738,7 @@ def test_imu_axes_are_mapped_by_their_channel_names(tmp_path: Path) -> None:
     study = read_study(filled_in(tmp_path / "study.toml"))
     assert [joint.spring for joint in study.arm.joints] == ["auto", "auto"]
     assert {"ax2", "gz2"} <= set(read_logs(study)[0].channels)
+
+
+def test_a_smooth_motion_has_no_sequence() -> None:
+    assert not sequences_of(log_with(motors(4000)))

@@ -17,8 +17,8 @@ from strainwave.virtual.experiments import simulate_study
 
 pytest.importorskip("starlette")
 
+from strainwave.io.kept_files import study_at
 from strainwave.workbench.pages.by_hand import Shown, simulate
-from strainwave.workbench.workspace import study_at
 
 if TYPE_CHECKING:
     from starlette.testclient import TestClient

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from strainwave.domain.study import Options, option_texts
+from strainwave.domain.study import Options, study_options
 from strainwave.errors import InvalidInput
 from strainwave.io.study import read_study
 
@@ -38,26 +38,27 @@ def finished(client: TestClient, name: str) -> dict[str, Any]:
 
 
 def test_every_option_has_a_text() -> None:
-    names = {stage: {*table} for stage, table in asdict(Options()).items() if table != ()}
-    assert {stage: {*each["options"]} for stage, each in option_texts().items()} == names
-    for text in (text for each in option_texts().values() for text in each["options"].values()):
-        assert text.keys() == {"meaning", "default", "reason"}
+    stages = {stage: table for stage, table in asdict(Options()).items() if table != ()}
+    names = [f"{stage}.{key}" for stage, table in stages.items() for key in table]
+    assert sorted(option.name for option in study_options()) == sorted(names)
+    assert all(option.meaning and option.default and option.reason for option in study_options())
 
 
 def test_choices_are_those_of_the_types() -> None:
-    rows = {row.name: row for group in option_groups(Options()).values() for row in group}
-    assert rows["statespace.method"].choices == ("pem", "moesp", "n4sid", "subspace")
-    assert rows["tuning.settling"].choices == ("true", "false")
-    assert rows["links.order"].choices == ("1", "2")
-    assert rows["links.time_constant"].choices == ()
+    choices = {option.name: option.choices for option in study_options()}
+    assert choices["statespace.method"] == ("pem", "moesp", "n4sid", "subspace")
+    assert choices["tuning.settling"] == ("true", "false")
+    assert choices["links.order"] == ("1", "2")
+    assert choices["links.time_constant"] == ()
 
 
 def test_values_of_the_study_are_shown(folder: Path) -> None:
     path = folder / "arm" / "study.toml"
     edit_study(path, [KeyChange(("options", "tuning", "hold"), ["gear_damping 2"])])
-    rows = {row.name: row for g in option_groups(read_study(path).options).values() for row in g}
-    assert rows["tuning.hold"].value == '["gear_damping 2"]'
-    assert rows["links.order"].value == ""
+    groups = option_groups(read_study(path).options)
+    values = {row["option"].name: row["value"] for rows in groups.values() for row in rows}
+    assert values["tuning.hold"] == '["gear_damping 2"]'
+    assert values["links.order"] == ""
 
 
 def test_options_become_arguments_and_wrong_ones_are_refused(folder: Path) -> None:

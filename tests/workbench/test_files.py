@@ -16,6 +16,7 @@ pytest.importorskip("starlette")
 
 from strainwave.workbench.pages.runs import EXPORT_FILES, python_script
 from strainwave.workbench.run_record import Run
+from workbench_runs import add_run
 
 if TYPE_CHECKING:
     from starlette.testclient import TestClient
@@ -83,3 +84,11 @@ def test_the_script_has_stages_options_and_start() -> None:
     assert """options=['links.order=1', 'tuning.hold=["a b"]']""" in script
     assert "start='start.json'" in script
     compile(script, "script", "exec")
+
+
+def test_the_script_of_a_run_of_any_letters_is_downloaded(client: TestClient, folder: Path) -> None:
+    add_run(folder / STUDY, "größer 大", commands=[["identify", "study.toml", "--out", "."]])
+    answer = client.get(f"/script/{STUDY}", params={"run": "größer 大"})
+    assert answer.status_code == 200
+    assert "sw.identify" in answer.text
+    assert "gr%C3%B6%C3%9Fer%20%E5%A4%A7.py" in answer.headers["content-disposition"]

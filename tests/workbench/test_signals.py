@@ -1,106 +1,27 @@
-"""Page "Signals": decimation, spectra, sequences, marks, windows."""
+"""Page "Signals": records, panels, scales, windows, steps."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 
-from strainwave.domain import Experiment, FloatArray, Log
-from strainwave.dynamics.arm import Arm
+from strainwave.domain import FloatArray
 from strainwave.io.logs import write_log
 from strainwave.io.study import read_study
 
 pytest.importorskip("starlette")
 
+from strainwave.io.kept_files import fingerprint
 from strainwave.workbench.pages.estimate import snapshot
-from strainwave.workbench.pages.signal_figures import (
-    ShownRecord,
-    View,
-    coherence_figure,
-    spectrum_figure,
-    time_figure,
-)
-from strainwave.workbench.pages.signals import marks_of, sequences_of
-from strainwave.workbench.workspace import fingerprint
 
 if TYPE_CHECKING:
     from starlette.testclient import TestClient
 
 PATH = "arm/study.toml"
-T = 1e-3
-
-
-def log_with(channels: Mapping[str, FloatArray], *, control: str = "servo") -> Log:
-    samples = len(next(iter(channels.values())))
-    controls: Any = (control, control)
-    experiment = Experiment("one", "one.csv", "motion", controls)
-    return Log(experiment, np.arange(samples) * np.float64(T), T, channels)
-
-
-def motors(samples: int) -> dict[str, FloatArray]:
-    angle = 3.0 * np.sin(2.0 * np.pi * 0.7 * T * np.arange(samples))
-    return {"theta_m1": angle, "theta_m2": 0.5 * angle, "u1": 2.0 * angle, "u2": angle}
-
-
-def view_of(folder: Path, log: Log, *channels: str, **choices: Any) -> View:
-    arm = read_study(folder / PATH).arm
-    return View([ShownRecord("one", [log])], channels, arm, **choices)
-
-
-def test_a_million_points_are_few_and_keep_their_peaks(folder: Path) -> None:
-    values = np.random.default_rng(1).normal(size=1_000_000)
-    values[123_456], values[654_321] = 50.0, -60.0
-    log = log_with({"a1": values, **motors(1_000_000)})
-    (panel,) = time_figure(view_of(folder, log, "a1"), (0.0, 1000.0), 1500).panels
-    drawn: Any = panel.marks[0]
-    assert len(drawn.x) <= 1500
-    assert (drawn.y.min(), drawn.y.max()) == (-60.0, 50.0)
-
-
-def test_a_zoom_shows_every_sample(folder: Path) -> None:
-    log = log_with(motors(100_000))
-    (panel,) = time_figure(view_of(folder, log, "u1"), (10.0, 10.5), 1500).panels
-    drawn: Any = panel.marks[0]
-    assert 501 <= len(drawn.x) <= 504
-    assert drawn.x[0] <= 10.0
-    assert drawn.x[-1] >= 10.5
-
-
-def test_the_spectrum_of_a_sine_has_its_peak_and_power(folder: Path) -> None:
-    time = T * np.arange(60_000)
-    log = log_with({"u1": 3.0 * np.sin(2.0 * np.pi * 40.0 * time)})
-    view = view_of(folder, log, "u1")
-    (panel,) = spectrum_figure(view, log_frequency=True, log_magnitude=True).panels
-    drawn: Any = panel.marks[0]
-    assert drawn.x[np.argmax(drawn.y)] == pytest.approx(40.0, abs=0.2)
-
-
-def test_linear_systems_are_coherent_and_noise_is_not() -> None:
-    rng = np.random.default_rng(2)
-    drive = rng.normal(size=40_000)
-    channels = {"u1": drive, "theta_m1": T * np.cumsum(drive)}
-    channels |= {"u2": rng.normal(size=40_000), "theta_m2": T * np.cumsum(rng.normal(size=40_000))}
-    coherent, noise = (mark for mark in coherence_figure(log_with(channels), 2).marks)
-    assert np.median(coherent.y) > 0.95  # type: ignore[union-attr]
-    assert np.median(noise.y) < 0.5  # type: ignore[union-attr]
-
-
-def test_saturation_standstill_and_a_spike_are_marked(folder: Path) -> None:
-    arm = Arm.of(read_study(folder / PATH).arm)
-    channels = motors(8000) | {"a1": np.random.default_rng(3).normal(size=8000) * 0.01}
-    channels["u1"] = np.clip(channels["u1"] * 4.0, -10.0, 10.0)
-    channels["theta_m2"][2000:3000] = channels["theta_m2"][2000]
-    channels["a1"][5000] = 40.0
-    kinds = {(mark.kind, mark.channel): mark for mark in marks_of(log_with(channels), arm)}
-    assert ("saturation", "u1") in kinds
-    assert kinds["spikes", "a1"].start == pytest.approx(5.0)
-    standing = kinds["standstill", "theta_m2"]
-    assert standing.start < 2.5 < standing.stop
 
 
 def test_the_sequence_of_a_record_is_detected(client: TestClient) -> None:
@@ -111,7 +32,6 @@ def test_the_sequence_of_a_record_is_detected(client: TestClient) -> None:
     (text,) = [line for line in record["sequences"] if line.startswith("u1")]
     assert f"order {wanted.order}" in text
     assert f"clock {1e3 * wanted.clock:g} ms" in text
-    assert not sequences_of(log_with(motors(4000)))
 
 
 def read_study_of(client: TestClient) -> Any:
@@ -210,29 +130,6 @@ def test_channels_share_panels(panels: str, count: int, client: TestClient) -> N
     figure = time_of(client, record="motion", channel=channels, panels=panels)
     assert len({line["yaxis"] for line in figure["data"]}) == count
     assert len(figure["data"]) == 4
-
-
-@pytest.mark.parametrize(
-    ("units", "factors", "names"),
-    [
-        ("deg", (57.29578, 57.29578), ("deg", "deg/s")),
-        ("rpm", (57.29578, 9.549297), ("deg", "rpm")),
-    ],
-)
-def test_angles_and_rates_have_the_chosen_units(
-    units: str, factors: tuple[float, float], names: tuple[str, str], folder: Path
-) -> None:
-    channels = motors(500) | {"omega_m1": np.linspace(-3.0, 3.0, 500)}
-    log = log_with(channels)
-    figure = time_figure(
-        view_of(folder, log, "theta_m1", "omega_m1", "u1", units=units), (0.0, 0.5), 1000
-    )
-    drawn: list[Any] = [panel.marks[0] for panel in figure.panels]
-    for line, unit in zip(drawn, (*names, "V"), strict=True):
-        assert f"[{unit}]" in line.name
-    np.testing.assert_allclose(drawn[0].y, factors[0] * channels["theta_m1"], rtol=1e-6)
-    np.testing.assert_allclose(drawn[1].y, factors[1] * channels["omega_m1"], rtol=1e-6)
-    np.testing.assert_array_equal(drawn[2].y, channels["u1"])
 
 
 def test_spectra_have_the_chosen_scales(client: TestClient) -> None:

@@ -65,3 +65,12 @@ def files_of(table: Mapping[str, Any]) -> list[str]:
     tables = [table, *(steps if isinstance(steps, list) else [])]
     names = [each.get("file") for each in tables if isinstance(each, Mapping)]
     return [name for name in names if isinstance(name, str) and name]
+
+
+def files_named(study: Mapping[str, Any]) -> list[str]:
+    """Files that an unchecked study names, each once: logs, and the URDF if any."""
+    experiments, arm = study.get("experiment"), study.get("arm")
+    tables = experiments if isinstance(experiments, list) else []
+    files = [name for each in tables if isinstance(each, Mapping) for name in files_of(each)]
+    urdf = arm.get("urdf") if isinstance(arm, Mapping) else None
+    return list(dict.fromkeys([*files, *([urdf] if isinstance(urdf, str) and urdf else [])]))

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cache
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self, get_args
+from typing import Annotated, Any, Literal, Self, get_args, get_origin, get_type_hints
 
 import numpy as np
 from annotated_types import Ge, Le, MinLen
@@ -161,10 +161,44 @@ def changed_options(options: Options) -> list[str]:
     ]
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StudyOption:
+    """One option of a stage; `options.toml` has its texts, in Markdown."""
+
+    name: str  # "links.order"
+    stage: str  # title of its stage
+    meaning: str
+    default: str  # in words
+    reason: str  # for the default
+    value: Any  # the default; None: from the data
+    choices: tuple[str, ...]  # TOML values to choose from; empty: any value
+
+
 @cache
-def option_texts() -> dict[str, dict[str, Any]]:
-    """By stage its `title` and its `options`: by key `meaning`, `default` and `reason`."""
-    return tomllib.loads(Path(__file__).with_name("options.toml").read_text(encoding="utf-8"))
+def study_options() -> tuple[StudyOption, ...]:
+    """Options of all stages, in their order."""
+    text = Path(__file__).with_name("options.toml").read_text(encoding="utf-8")
+    options = []
+    for stage, table in tomllib.loads(text).items():
+        record = getattr(Options(), stage)
+        hints = get_type_hints(type(record))
+        options += [
+            StudyOption(
+                name=f"{stage}.{key}",
+                stage=table["title"],
+                value=getattr(record, key),
+                choices=_choices(hints[key]),
+                **texts,
+            )
+            for key, texts in table["options"].items()
+        ]
+    return tuple(options)
+
+
+def _choices(hint: Any) -> tuple[str, ...]:
+    kinds = (hint, *get_args(hint))
+    literals = (get_args(kind) for kind in kinds if get_origin(kind) is Literal)
+    return ("true", "false") if bool in kinds else tuple(map(str, next(literals, ())))
 
 
 @dataclass(frozen=True, slots=True)

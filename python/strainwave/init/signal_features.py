@@ -8,7 +8,7 @@ from math import pi
 
 import numpy as np
 
-from strainwave.domain import BoolArray, FloatArray, IntArray, Prbs
+from strainwave.domain import BoolArray, FloatArray, IntArray, Log, Prbs, channel_parts
 from strainwave.init.names import UNITS
 
 _MAX_LEVELS = 5  # maximum number of levels
@@ -104,6 +104,17 @@ def sequence_of(values: FloatArray, period: float) -> Prbs | None:
             amplitude = float(f"{np.ptp(two_levels) / 2:.6g}")
             return Prbs(order, float(f"{clock * period:.6g}"), periods, amplitude)
     return None
+
+
+def sequences_of(log: Log) -> dict[str, Prbs]:
+    """The pseudo-random binary sequence of each motor input that has one, by channel."""
+    drives = {c: v for c, v in log.channels.items() if channel_parts(c)[0] in ("u", "torque")}
+    detections = {
+        channel: sequence_of(values, log.sample_time)
+        or sequence_under_servo(values, log.sample_time)
+        for channel, values in drives.items()
+    }
+    return {channel: prbs for channel, prbs in detections.items() if prbs is not None}
 
 
 def sequence_under_servo(values: FloatArray, period: float) -> Prbs | None:

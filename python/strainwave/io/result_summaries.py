@@ -6,7 +6,7 @@ A file is read once while it stays as it is, and a damaged one affects its own r
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from functools import cache, lru_cache
 from pathlib import Path
@@ -23,6 +23,12 @@ if TYPE_CHECKING:
 
 _MAX_BYTES = 64 << 20  # of a result; those of large arms have some 10 MiB
 _MAX_KEPT = 2000  # summaries
+_MAX_COLUMNS = 4  # of several parameters, unless the reader chooses more
+_KEY_PARAMETERS = (
+    *("gear_stiffness", "link_inertia", "inertia"),
+    *("motor_coulomb_friction", "rigid_inertia", "motor_viscous_friction"),
+)
+"""The first of these that results have are the columns of a table."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,6 +82,16 @@ def _read(path: Path, _size: int, _time: int) -> Summary:
         return Summary(fault=f"{path.name} {error.problem.removeprefix(path.name).strip()}")
     except (ValueError, RecursionError):
         return Summary(fault=f"{path.name} is damaged")
+
+
+def key_parameters(labels: Iterable[str]) -> list[str]:
+    """Labels of the first of the key parameters, each with all joints."""
+    columns: list[str] = []
+    for name in _KEY_PARAMETERS:
+        group = [label for label in labels if f"{label} ".startswith(f"{name} ")]
+        if not columns or len(columns) + len(group) <= _MAX_COLUMNS:
+            columns += group
+    return columns
 
 
 def changed_options(options: Mapping[str, Any]) -> dict[str, str]:

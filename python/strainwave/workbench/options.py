@@ -41,18 +41,14 @@ class ServerOptions:
 def check_options(options: ServerOptions) -> None:
     """Raise InvalidInput if the folder does not exist, or if others could use the server."""
     if os.name != "posix":  # runs are process groups with locks
-        raise InvalidInput(
-            "the workbench runs on Linux and macOS only", remedy="use the command line"
-        )
-    if not options.folder.is_dir():
-        raise InvalidInput(
-            "is not a folder", where=str(options.folder), remedy="name the folder of your studies"
-        )
-    for folder in options.allowed:
+        problem = "the workbench runs on Linux and macOS only"
+        raise InvalidInput(problem, remedy="use the command line")
+    folders = [(options.folder, str(options.folder), "your studies")]
+    folders += [(each, f"--allow {each}", "the logs") for each in options.allowed]
+    for folder, where, content in folders:
         if not folder.is_dir():
-            raise InvalidInput(
-                "is not a folder", where=f"--allow {folder}", remedy="name the folder of the logs"
-            )
+            remedy = f"name the folder of {content}"
+            raise InvalidInput("is not a folder", where=where, remedy=remedy)
 
 
 def token_from(file: Path | None) -> str:

@@ -49,7 +49,7 @@ class Runs:
             with suppress(OSError):  # deleted in between
                 times[path.parent.name] = path.lstat().st_mtime_ns
         newest = sorted(times, key=lambda name: times[name])[-MAX_LISTED:]
-        return sorted(map(self._listed, newest), key=lambda run: run.created)
+        return sorted(map(self.listed, newest), key=lambda run: run.created)
 
     def count(self) -> int:
         """Number of all runs."""
@@ -58,7 +58,7 @@ class Runs:
     def _records(self) -> Iterator[Path]:
         return self.folder.glob(f"*/{RECORD}") if self.folder.is_dir() else iter(())
 
-    def _listed(self, name: str) -> Run:
+    def listed(self, name: str) -> Run:
         """A run, or what stands for one that cannot be read."""
         try:
             return self.get(name)
@@ -96,9 +96,8 @@ class Runs:
         try:
             folder.mkdir(parents=True)
         except FileExistsError as error:
-            raise InvalidInput(
-                f"there is a run {name!r} already", remedy="choose another name"
-            ) from error
+            problem = f"there is a run {name!r} already"
+            raise InvalidInput(problem, remedy="choose another name") from error
         return folder
 
     def start(
@@ -180,13 +179,9 @@ class Runs:
 
     def _is_alive(self, name: str) -> bool:
         try:
-            lock = os.open(self.path(name) / LOCK, os.O_RDWR | os.O_NOFOLLOW)
+            lock = supervisor.try_lock(self.path(name) / LOCK, os.O_NOFOLLOW)
         except OSError:  # there is none, or what is there was never locked
             return False
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            return True
-        finally:
+        if lock is not None:
             os.close(lock)
-        return False
+        return lock is None

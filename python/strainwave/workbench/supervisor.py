@@ -102,7 +102,7 @@ def _slot() -> Iterator[None]:
         ticket.touch()
         with (folder / "queue").open("w") as queue:
             fcntl.flock(queue, fcntl.LOCK_EX)  # the first in the queue
-            while (slot := next(filter(None, map(_try_lock, files)), None)) is None:
+            while (slot := next(filter(None, map(try_lock, files)), None)) is None:
                 time.sleep(_POLL)
     finally:
         ticket.unlink(missing_ok=True)
@@ -131,9 +131,9 @@ def _lives(process: int) -> bool:
     return True
 
 
-def _try_lock(path: Path) -> int | None:
+def try_lock(path: Path, flags: int = os.O_CREAT) -> int | None:
     """The open file if no other run has locked it."""
-    file = os.open(path, os.O_CREAT | os.O_RDWR, 0o600)
+    file = os.open(path, os.O_RDWR | flags, 0o600)
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:

@@ -18,7 +18,6 @@ from starlette.routing import BaseRoute, Route
 from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure
 from strainwave.io.atomic_files import FULL
 from strainwave.io.templates import template_environment
-from strainwave.version import __version__
 from strainwave.workbench.workspace import ACCEPTED, Workspace, abbreviated
 
 if TYPE_CHECKING:
@@ -76,23 +75,11 @@ def page(request: Request, template: str, title: str, **values: Any) -> HTMLResp
     key = request.url.path.split("/")[1]
     tabs = STUDY_TABS if study else PAGE_TABS
     topic = key if key and any(key == tab[0] for tab in tabs) else "studies"
-    text = (
-        _templates()
-        .get_template(f"{template}.html.j2")
-        .render(
-            title=title,
-            study=study,
-            tabs=tabs,
-            topic=topic,
-            path=request.url.path,
-            folder=workspace_of(request).folder.name,
-            version=__version__,
-            accepted=ACCEPTED,
-            files=[file for file in _STATIC if file.startswith(f"{template}.")],
-            **values,
-        )
-    )
-    return HTMLResponse(text)
+    text = _templates().get_template(f"{template}.html.j2")
+    values |= {"title": title, "study": study, "tabs": tabs, "topic": topic, "accepted": ACCEPTED}
+    values |= {"files": [file for file in _STATIC if file.startswith(f"{template}.")]}
+    values |= {"path": request.url.path, "folder": workspace_of(request).folder.name}
+    return HTMLResponse(text.render(values))
 
 
 def json_response(value: object, status: int = 200) -> Response:

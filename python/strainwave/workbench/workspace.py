@@ -1,39 +1,26 @@
-"""The served folder: its studies, and paths that cannot leave it.
-
-Studies and logs, which the pages read again and again, are kept until their files change.
-"""
+"""The served folder: its studies, and paths that cannot leave it."""
 
 from __future__ import annotations
 
-import hashlib
-import json
 import os
 import re
 import tempfile
 import unicodedata
-from collections import OrderedDict
-from collections.abc import AsyncIterator, Callable, Hashable, Iterable
+from collections.abc import AsyncIterator, Iterable
 from contextlib import suppress
-from dataclasses import dataclass, replace
-from functools import lru_cache
+from dataclasses import dataclass
 from itertools import chain, count
 from pathlib import Path
-from threading import Lock
-from typing import Any
 
-from strainwave.domain import Experiment, Log, Study
-from strainwave.domain.steps import files_of
 from strainwave.errors import InvalidInput
-from strainwave.io.atomic_files import decode, parse_toml, read_small
-from strainwave.io.logs import read_segments
+from strainwave.io.atomic_files import read_small
+from strainwave.io.kept_files import MAX_STUDY_BYTES, named_files
 from strainwave.io.logs.bags import BAG_SUFFIXES
 from strainwave.io.logs.tables import TABLE_SUFFIXES
-from strainwave.io.study import read_study
 
 _RUNS = "runs"
 _MAX_DEPTH = 3  # of folders in which studies are searched
 _MAX_STUDIES = 500  # listed
-_MAX_STUDY_BYTES = 1 << 18
 _MAX_SHOWN_NAME = 120  # letters of a name in a message
 _STUDY = re.compile(rb"^\s*\[(arm|\[experiment\])\]", re.MULTILINE)
 _NAME = re.compile(r"[^\W.][\w .()+=@,-]*", re.UNICODE)
@@ -105,8 +92,8 @@ class Workspace:
         path = self.resolve(relative)
         if path.suffix != ".toml" or not path.is_file():
             raise InvalidInput("there is no such study", where=abbreviated(relative))
-        if path.stat().st_size > _MAX_STUDY_BYTES:
-            limit = f"has more than {_MAX_STUDY_BYTES >> 10} KiB"
+        if path.stat().st_size > MAX_STUDY_BYTES:
+            limit = f"has more than {MAX_STUDY_BYTES >> 10} KiB"
             raise InvalidInput(limit, where=str(path), remedy="split the study")
         return path
 
@@ -124,7 +111,7 @@ class Workspace:
 
         Raises InvalidInput if one of them lies outside.
         """
-        return [self.file_of(study, name) for name in _named_files(study, stamp_of(study))]
+        return [self.file_of(study, name) for name in named_files(study)]
 
     def files(self, patterns: Iterable[tuple[Path, str]]) -> list[Path]:
         """Regular files of the folder that match (folder, pattern), the newest first."""
@@ -183,22 +170,6 @@ class Workspace:
         return target
 
 
-@lru_cache(maxsize=_MAX_STUDIES)
-def _named_files(study: Path, _stamp: object) -> tuple[str, ...]:
-    """The files that a study names; none if it is no TOML, since then nothing is read."""
-    try:
-        document = parse_toml(
-            decode(read_small(study, "the study", _MAX_STUDY_BYTES), study), study
-        )
-    except InvalidInput:
-        return ()
-    experiments = document.get("experiment")
-    arm, tables = document.get("arm"), experiments if isinstance(experiments, list) else []
-    names = [name for each in tables if isinstance(each, dict) for name in files_of(each)]
-    urdf = arm.get("urdf") if isinstance(arm, dict) else None
-    return (*names, *([urdf] if isinstance(urdf, str) else []))
-
-
 def abbreviated(name: str) -> str:
     """A name for a message."""
     return name if len(name) <= _MAX_SHOWN_NAME else f"{name[:_MAX_SHOWN_NAME]}..."
@@ -206,7 +177,7 @@ def abbreviated(name: str) -> str:
 
 def _is_study(path: Path) -> bool:
     try:
-        return bool(_STUDY.search(read_small(path, "the study", _MAX_STUDY_BYTES)))
+        return bool(_STUDY.search(read_small(path, "the study", MAX_STUDY_BYTES)))
     except InvalidInput:  # a broken link, a pipe, no permission
         return False
 
@@ -243,103 +214,3 @@ def free_path(parent: Path, name: str) -> Path:
     numbered = (f"{stem} ({k}){suffix}" for k in count(2))
     names = chain([f"{stem}{suffix}"], numbered)
     return next(parent / each for each in names if not os.path.lexists(parent / each))
-
-
-_MAX_BYTES = 256 << 20  # of all logs in memory
-
-
-_STUDY_SIZE = 10_000  # [bytes] of a study, or of a fault
-_cache: OrderedDict[Hashable, tuple[Any, int]] = OrderedDict()  # value and size by key
-_cache_lock = Lock()
-
-
-def cached(key: Hashable, make: Callable[[], Any], size: Callable[[Any], int]) -> Any:
-    """A value by key, or its fault; at more than `_MAX_BYTES`, the least recently used go."""
-    with _cache_lock:
-        if key in _cache:
-            _cache.move_to_end(key)
-        value, n_bytes = _cache.get(key, (None, 0))
-    if not n_bytes:
-        try:
-            value = make()
-            n_bytes = size(value)
-        except InvalidInput as error:
-            value, n_bytes = error, _STUDY_SIZE
-        with _cache_lock:
-            _cache[key] = value, n_bytes
-            while len(_cache) > 1 and sum(n for _, n in _cache.values()) > _MAX_BYTES:
-                _cache.popitem(last=False)
-    if isinstance(value, InvalidInput):
-        raise value.with_traceback(None)
-    return value
-
-
-def study_at(path: Path) -> Study:
-    """The study of a file; raises InvalidInput if it has a fault."""
-    stamps = [stamp_of(path.parent / name) for name in _named_files(path, stamp_of(path))]
-    key = ("study", stamp_of(path), *stamps)  # a URDF decides, and whether files exist
-    study: Study = cached(key, lambda: read_study(path), lambda _: _STUDY_SIZE)
-    return study
-
-
-def experiment_of(path: Path, name: str) -> Experiment:
-    """An experiment of a study file; raises InvalidInput if there is none of that name."""
-    experiments = study_at(path).experiments
-    for experiment in experiments:
-        if experiment.name == name:
-            return experiment
-    names = ", ".join(e.name for e in experiments)
-    raise InvalidInput(f"there is no experiment {name!r}", remedy=f"choose from: {names}")
-
-
-def log_of(path: Path, experiment: str) -> Log:
-    """The log of one experiment of a study file, of a record with pauses the longest segment.
-
-    Raises InvalidInput if it has a fault.
-    """
-    chosen = experiment_of(path, experiment)
-    segments = segments_of(path, chosen)
-    return segments[0] if len(segments) == 1 else replace(max(segments, key=len), experiment=chosen)
-
-
-def segments_of(path: Path, experiment: Experiment) -> tuple[Log, ...]:
-    """The segments of an experiment, whose window and steps may differ from the study file's.
-
-    Raises InvalidInput if the log has a fault.
-    """
-    study = study_at(path)
-    how = experiment.start, experiment.stop, experiment.steps
-    stamps = map(stamp_of, study.log_paths(experiment))
-    key = ("log", stamp_of(path), experiment.name, *how, *stamps)
-    logs: tuple[Log, ...] = cached(
-        key, lambda: read_segments(study, experiment), lambda logs: sum(map(_size, logs))
-    )
-    return logs
-
-
-def fingerprint(path: Path) -> str:
-    """A text that changes whenever the study file or one of its logs changes."""
-    study = study_at(path)
-    stamps = [stamp_of(log) for each in study.experiments for log in study.log_paths(each)]
-    text = json.dumps([hashlib.sha256(path.read_bytes()).hexdigest(), stamps])
-    return hashlib.sha256(text.encode()).hexdigest()
-
-
-def stamp_of(path: Path) -> tuple[str, int, int]:
-    """Path, size and time of change of a file; of a folder, those of its largest change.
-
-    The size of what cannot be looked at is -1.
-    """
-    try:
-        status = path.stat()
-        if path.is_dir():
-            parts = [each.stat() for each in path.iterdir()]
-            size = sum(each.st_size for each in parts)
-            return str(path), size, max((p.st_mtime_ns for p in parts), default=status.st_mtime_ns)
-    except (OSError, ValueError):
-        return str(path), -1, 0
-    return str(path), status.st_size, status.st_mtime_ns
-
-
-def _size(log: Log) -> int:
-    return log.time.nbytes + sum(values.nbytes for values in log.channels.values())

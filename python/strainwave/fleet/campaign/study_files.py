@@ -20,7 +20,7 @@ from typing import Any, ClassVar, Protocol
 
 from strainwave.domain import Study
 from strainwave.domain.keys import Key
-from strainwave.domain.steps import files_of
+from strainwave.domain.steps import files_named
 from strainwave.errors import InvalidInput, import_optional, suggest_name
 from strainwave.io.atomic_files import check_keys, decode, parse_toml, read_bytes
 from strainwave.io.logs.arrays import Data
@@ -134,14 +134,9 @@ class StudyFile:
 def _list_inputs(text: bytes) -> list[str]:
     """Files that a study names, each once; none if it is not valid TOML."""
     try:
-        document = tomllib.loads(text.decode("utf-8-sig"))
+        return files_named(tomllib.loads(text.decode("utf-8-sig")))
     except (ValueError, RecursionError):
         return []
-    experiments, arm = document.get("experiment"), document.get("arm")
-    tables = experiments if isinstance(experiments, list) else []
-    files = [name for each in tables if isinstance(each, dict) for name in files_of(each)]
-    urdf = arm.get("urdf") if isinstance(arm, dict) else None
-    return list(dict.fromkeys([*files, *([urdf] if isinstance(urdf, str) and urdf else [])]))
 
 
 def _read(location: str) -> bytes:

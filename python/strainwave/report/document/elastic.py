@@ -21,7 +21,7 @@ from strainwave.identification.joint_model.agreement import motor_response, vect
 from strainwave.numerics.spectra import cross_spectral_densities
 from strainwave.report import figures
 from strainwave.report.document.bode import response_title
-from strainwave.report.figures import Axis, Colour, Figure, Line, Markers, Panel
+from strainwave.report.figures import Axis, Colour, Figure, Line, Markers, Panel, Upright
 from strainwave.report.figures.curves import ResponseMarks
 
 
@@ -182,6 +182,7 @@ _COLOURS = (Colour.MEASURED, Colour.MODEL)
 _DASHES = (figures.SOLID, figures.SHORT_DASH)
 _WELCH_SEGMENTS = 8  # of a record
 _SHOWN_DURATION = 0.5  # [s] single oscillations stay visible
+_MAX_SINGULAR_VALUES = 24  # drawn; those of the noise follow
 _BAND_MARGIN = 5.0  # highest frequency drawn over the band in which the motor moves
 
 
@@ -202,6 +203,16 @@ def interaction_share(record: domain.Decoupled) -> float:
     """Standard deviation of the interaction torque over that of the motor torque."""
     motor, interaction = np.std(_at_motor(record), axis=0)
     return float(interaction / motor) if motor > 0.0 else 0.0
+
+
+def order_figure(model: domain.StateSpace) -> Figure:
+    """Singular values of the subspace step, relative to the largest, and the order selected."""
+    values = np.asarray(model.singular_values, dtype=float)[:_MAX_SINGULAR_VALUES]
+    index = np.arange(1.0, len(values) + 1.0)
+    line = Line(index, values / values[0], "singular values", Colour.MEASURED, size=7.0)
+    order = Upright(model.order + 0.5, f"order {model.order}", dash=figures.DOTTED)
+    panel = Panel(Axis("singular value / largest", log=True), (line,))
+    return Figure(Axis("number", step=1.0), (panel,), uprights=(order,))
 
 
 def torque_figure(record: domain.Decoupled) -> Figure:

@@ -40,6 +40,7 @@ from strainwave.identification.trial_values import (
     window_of,
 )
 from strainwave.io.atomic_files import read_json, write_whole
+from strainwave.io.kept_files import fingerprint, log_of, study_at
 from strainwave.io.parameters import parameter_file
 from strainwave.io.results import response_of, rigid_band_of
 from strainwave.report.document.predictions import prediction_figure
@@ -51,7 +52,7 @@ from strainwave.workbench.pages.estimate import snapshot
 from strainwave.workbench.pages.runs import describe
 from strainwave.workbench.runs import Runs
 from strainwave.workbench.web import Body, Routes, page, study_of, text_of, workspace_of
-from strainwave.workbench.workspace import check_name, fingerprint, log_of, study_at
+from strainwave.workbench.workspace import check_name
 
 _MAX_POINTS = 600  # of a line
 _RANGE = 10.0  # of a slider, as a factor on either side of its start

@@ -25,12 +25,13 @@ from strainwave.domain.results.consistency import Correction
 from strainwave.errors import InvalidInput
 from strainwave.init.changes import correction_changes, edit_study
 from strainwave.io.atomic_files import decode, write_whole
+from strainwave.io.kept_files import fingerprint, log_of, study_at
 from strainwave.io.results import check_document, to_json
 from strainwave.report.document.predictions import unit_of
 from strainwave.report.figures import Axis, Figure, line_panel
 from strainwave.report.plotly_backend import plotly
 from strainwave.workbench.web import Body, Routes, message_of, page, study_of
-from strainwave.workbench.workspace import fingerprint, log_of, runs_folder, study_at
+from strainwave.workbench.workspace import runs_folder
 
 _STORED = ".check.json"
 _HEADER = re.compile(r"\[\[?(joint|experiment|arm|servo|transmission)\]\]?")  # of a table

@@ -30,6 +30,7 @@ from strainwave.fleet.monitoring.comparison_output import to_document
 from strainwave.identification.closed_loop import restrict_to_values
 from strainwave.identification.trial_values import ChannelTest, starting_values, window_of
 from strainwave.identification.whole_arm.inference.fit_tests import SIGNIFICANCE_LEVEL
+from strainwave.io.kept_files import fingerprint, log_of, study_at
 from strainwave.io.results import rigid_band_of
 from strainwave.report.document.blocks import read_figures
 from strainwave.report.document.predictions import difference_figure
@@ -55,13 +56,7 @@ from strainwave.workbench.web import (
     text_of,
     workspace_of,
 )
-from strainwave.workbench.workspace import (
-    Workspace,
-    fingerprint,
-    is_runs_folder,
-    log_of,
-    study_at,
-)
+from strainwave.workbench.workspace import Workspace, is_runs_folder
 
 _SHARED = (
     "The results come from the same logs ({}): their errors are not independent, so that no test"

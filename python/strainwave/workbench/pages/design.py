@@ -11,6 +11,7 @@ from starlette.responses import Response
 from strainwave.commands import command_texts
 from strainwave.errors import InvalidInput
 from strainwave.io.atomic_files import read_json
+from strainwave.io.kept_files import study_at
 from strainwave.io.logs.tables import open_table
 from strainwave.report.figures import Axis, Figure, line_panel
 from strainwave.report.plotly_backend import plotly
@@ -18,7 +19,6 @@ from strainwave.workbench.pages.runs import describe, file_of_run, log_lines
 from strainwave.workbench.run_record import Run
 from strainwave.workbench.runs import RUN_FILES, Runs
 from strainwave.workbench.web import Body, Routes, page, study_of, text_of, workspace_of
-from strainwave.workbench.workspace import study_at
 
 routes = Routes()
 

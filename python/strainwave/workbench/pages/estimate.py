@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any, Literal, get_args, get_origin, get_type_hints
+from typing import Any
 
-import numpy as np
 import tomlkit
 from starlette.requests import Request
 from starlette.responses import Response
@@ -17,16 +16,29 @@ from starlette.responses import Response
 from strainwave import pipeline
 from strainwave.domain import Parameter
 from strainwave.domain.messages import plus_minus
-from strainwave.domain.study import Options, option_texts
+from strainwave.domain.study import Options, study_options
 from strainwave.errors import InvalidInput, NotIdentifiable
 from strainwave.io.atomic_files import decode
-from strainwave.io.result_summaries import Summary, changed_options, summary_of, toml_text
+from strainwave.io.kept_files import study_at
+from strainwave.io.result_summaries import (
+    Summary,
+    changed_options,
+    key_parameters,
+    summary_of,
+    toml_text,
+)
 from strainwave.io.study import with_options
 from strainwave.pipeline import check_stages
-from strainwave.report.figures import DOTTED, Axis, Colour, Figure, Line, Panel, Upright
+from strainwave.report.document.elastic import order_figure
 from strainwave.report.plotly_backend import plotly
 from strainwave.workbench.pages.check import gate_of, require_open
-from strainwave.workbench.pages.runs import REPORTS, arguments_of, describe, last_message
+from strainwave.workbench.pages.runs import (
+    REPORTS,
+    arguments_of,
+    describe,
+    last_message,
+    runs_of,
+)
 from strainwave.workbench.run_record import Run
 from strainwave.workbench.runs import Runs
 from strainwave.workbench.web import (
@@ -38,36 +50,16 @@ from strainwave.workbench.web import (
     text_of,
     workspace_of,
 )
-from strainwave.workbench.workspace import study_at
 
 
-@dataclass(frozen=True, slots=True)
-class OptionRow:
-    """One option of the form."""
-
-    name: str  # "links.order"
-    text: Mapping[str, str]  # `meaning`, `default` and `reason`
-    choices: tuple[str, ...]  # TOML values to choose from; empty: any value
-    value: str  # of the study, if it differs from the default
-    default: str  # as a TOML value; "" for one that depends on the data
-
-
-def option_groups(options: Options) -> dict[str, list[OptionRow]]:
+def option_groups(options: Options) -> dict[str, list[dict[str, Any]]]:
     """The form of all options with the values of a study, by the title of their stage."""
     changed = changed_options(asdict(options))
-    groups = {}
-    for stage, texts in option_texts().items():
-        record = getattr(options, stage)
-        hints = get_type_hints(type(record), include_extras=False)
-        rows = []
-        for key, text in texts["options"].items():
-            name, value = f"{stage}.{key}", getattr(getattr(Options(), stage), key)
-            default = "" if value is None else toml_text(value)
-            plain = {kind: words.replace("`", "") for kind, words in text.items()}
-            rows.append(
-                OptionRow(name, plain, _choices(hints[key]), changed.get(name, ""), default)
-            )
-        groups[texts["title"]] = rows
+    groups: dict[str, list[dict[str, Any]]] = {}
+    for each in study_options():
+        default = "" if each.value is None else toml_text(each.value)
+        row = {"option": each, "value": changed.get(each.name, ""), "default": default}
+        groups.setdefault(each.stage, []).append(row)
     return groups
 
 
@@ -77,7 +69,7 @@ def option_arguments(values: Mapping[str, Any], study_path: Path) -> list[str]:
     Raises InvalidInput if an option is unknown or its value invalid; `where` is its name.
     """
     arguments: list[str] = []
-    names = {f"{stage}.{key}" for stage, each in option_texts().items() for key in each["options"]}
+    names = {option.name for option in study_options()}
     for name, value in values.items():
         if name not in names or not isinstance(value, str):
             raise InvalidInput(f"there is no option {name!r}", where="options")
@@ -87,27 +79,13 @@ def option_arguments(values: Mapping[str, Any], study_path: Path) -> list[str]:
         try:
             with_options(study_at(study_path), [flag])
         except InvalidInput as error:
-            raise InvalidInput(
-                error.problem, where=name, remedy="correct the value, or empty the field"
-            ) from error
+            remedy = "correct the value, or empty the field"
+            raise InvalidInput(error.problem, where=name, remedy=remedy) from error
         arguments += ["--set", flag]
     return arguments
 
 
-def _choices(hint: Any) -> tuple[str, ...]:
-    """The values of a literal or of a truth value."""
-    parts = get_args(hint) if get_origin(hint) is not Literal else (hint,)
-    if hint is bool or bool in parts:
-        return ("true", "false")
-    for part in (hint, *parts):
-        if get_origin(part) is Literal:
-            return tuple(str(value) for value in get_args(part))
-    return ()
-
-
 routes = Routes()
-
-_MAX_SHOWN = 24  # singular values; those of the noise follow
 
 
 @routes.get("/api/orders/{study:path}")
@@ -126,15 +104,9 @@ def show_orders(request: Request) -> object:
         model = record.state_space
         if model is None:
             continue
-        values = np.asarray(model.singular_values, dtype=float)[:_MAX_SHOWN]
-        index = np.arange(1.0, len(values) + 1.0)
-        line = Line(index, values / values[0], "singular values", Colour.MEASURED, size=7.0)
-        order = Upright(model.order + 0.5, f"order {model.order}", dash=DOTTED)
-        axis = Axis("singular value / largest", log=True)
-        figure = Figure(Axis("number", step=1.0), (Panel(axis, (line,)),), uprights=(order,))
-        entry = {"order": model.order, "horizon": model.horizon, "figure": plotly(figure)}
-        signals = record.signals
-        shown.append(entry | {"experiment": signals.experiment.name, "joint": signals.joint})
+        entry = {"experiment": record.signals.experiment.name, "joint": record.signals.joint}
+        entry |= {"order": model.order, "horizon": model.horizon}
+        shown.append(entry | {"figure": plotly(order_figure(model))})
     if not shown:
         raise NotIdentifiable("no record excites a joint such that a state-space model exists")
     return shown
@@ -155,16 +127,6 @@ _STAGE_CHOICES = (
 )
 _SNAPSHOT, _RESULT = "study.toml", "result.json"
 _READING_TIME = 0.1  # [s] of results in one answer
-_MAX_COLUMNS = 4  # of several parameters, unless the user chooses more
-_KEY_PARAMETERS = (
-    "gear_stiffness",
-    "link_inertia",
-    "inertia",
-    "motor_coulomb_friction",
-    "rigid_inertia",
-    "motor_viscous_friction",
-)
-"""The first of these that results have are the columns of the table."""
 
 
 @routes.page("/estimate/{study:path}")
@@ -178,15 +140,10 @@ def _show_estimate(request: Request) -> Response:
 @routes.get("/api/estimate/{study:path}")
 def estimates(request: Request) -> object:
     """Gate and runs for the page."""
-    path = study_of(request)
-    gate = gate_of(path)
-    runs = Runs(path)
+    runs, gate = runs_of(request), gate_of(study_of(request))
     reason = message_of(request, gate.reason)
-    return {
-        "gate": {"is_open": gate.is_open, "reason": reason, "state": gate.state},
-        "name": runs.free_name("identify"),
-        **_table(request, runs),
-    }
+    shown = {"is_open": gate.is_open, "reason": reason, "state": gate.state}
+    return {"gate": shown, "name": runs.free_name("identify"), **_table(request, runs)}
 
 
 def _table(request: Request, runs: Runs) -> dict[str, Any]:
@@ -204,48 +161,42 @@ def _table(request: Request, runs: Runs) -> dict[str, Any]:
         summaries[run.name] = summary_of(runs.path(run.name) / _RESULT)
     units = {p.label: p.unit for one in summaries.values() for p in one.parameters.values()}
     columns = [label for label in request.query_params.getlist("column") if label in units]
-    columns = columns or _key_columns(list(units))
+    columns = columns or key_parameters(units)
     rows: list[dict[str, Any]] = []
     rig: Mapping[str, str] = {}
     for run in listed:
         summary = summaries.get(run.name, Summary())
         row = _row(request, runs, run, summary)
         row["cells"] = {each: _cell(summary.parameters.get(each)) for each in columns}
-        if summary.rig:
-            places = [each for each in summary.rig if summary.rig[each] != rig.get(each)]
-            row["rig"] = {each: summary.rig[each] for each in places if rig}
-            rig = summary.rig
+        if rig:
+            row["rig"] = {k: v for k, v in summary.rig.items() if v != rig.get(k)}
+        rig = summary.rig or rig
         rows.append(row)
-    pending = len(readable) - len(summaries)
-    shown = {"units": units, "columns": columns, "pending": pending, "total": runs.count()}
-    return shown | {"runs": rows[::-1]}
-
-
-def _key_columns(labels: list[str]) -> list[str]:
-    """The first of the key parameters, each with all joints."""
-    columns: list[str] = []
-    for name in _KEY_PARAMETERS:
-        group = [label for label in labels if f"{label} ".startswith(f"{name} ")]
-        if not columns or len(columns) + len(group) <= _MAX_COLUMNS:
-            columns += group
-    return columns
+    return {
+        "units": units,
+        "columns": columns,
+        "pending": len(readable) - len(summaries),
+        "total": runs.count(),
+        "runs": rows[::-1],
+    }
 
 
 def _row(request: Request, runs: Runs, run: Run, summary: Summary) -> dict[str, Any]:
     """A run with what it leaves; a damaged one has its record alone."""
-    row = describe(run) | {"message": summary.fault, "report": "", "path": "", "rig": {}}
-    row |= {"worst": summary.worst_fit, "mean": summary.mean_fit}
     given = arguments_of(run)
     options = dict(text.partition("=")[::2] for text in given.set or ())
-    row |= {"options": summary.options or options, "stages": given.stages}
-    if run.state == "failed":
-        row["message"] = last_message(runs, run)
-    if run.commands:
-        folder = runs.path(run.name)
-        row["report"] = next((name for name in REPORTS if (folder / name).is_file()), "")
-        if summary.parameters:
-            row["path"] = workspace_of(request).relative(folder / _RESULT)
-    return row
+    folder = runs.folder / run.name
+    reports = (name for name in REPORTS if run.commands and (folder / name).is_file())
+    return describe(run) | {
+        "message": last_message(runs, run) if run.state == "failed" else summary.fault,
+        "report": next(reports, ""),
+        "path": workspace_of(request).relative(folder / _RESULT) if summary.parameters else "",
+        "rig": {},
+        "worst": summary.worst_fit,
+        "mean": summary.mean_fit,
+        "options": summary.options or options,
+        "stages": given.stages,
+    }
 
 
 def _cell(parameter: Parameter | None) -> dict[str, Any] | None:
@@ -283,15 +234,10 @@ def start_estimate(request: Request, body: Body) -> object:
 def snapshot(path: Path) -> str:
     """The text of a study file for a folder two levels below, so that a run can be repeated."""
     document = tomlkit.parse(decode(path.read_bytes(), path))
-    for experiment in document.get("experiment", []):
-        for table in (experiment, *experiment.get("steps", [])):
-            if "file" in table:
-                table["file"] = _from_below(table["file"])
-    if "urdf" in document.get("arm", {}):
-        document["arm"]["urdf"] = _from_below(document["arm"]["urdf"])
+    experiments = document.get("experiment", [])
+    steps = [step for each in experiments for step in each.get("steps", [])]
+    for table in (document.get("arm", {}), *experiments, *steps):
+        for key in ("file", "urdf"):
+            if key in table and not Path(table[key]).is_absolute():
+                table[key] = f"../../{table[key]}"
     return tomlkit.dumps(document)
-
-
-def _from_below(name: str) -> str:
-    """A path as seen from a folder two levels below; an absolute one stays."""
-    return name if Path(name).is_absolute() else f"../../{name}"

@@ -16,7 +16,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from strainwave.domain.messages import catalogue
-from strainwave.domain.study import option_texts, study_keys
+from strainwave.domain.study import study_keys, study_options
 from strainwave.errors import InvalidInput
 from strainwave.workbench.web import HERE, PAGE_TABS, STUDY_TABS, Routes, page
 
@@ -69,9 +69,8 @@ def _study_keys() -> str:
 
 def _options() -> str:
     rows = (
-        (f"`{stage}.{key}`", text["default"], f"{text['meaning']} {text['reason']}")
-        for stage, each in option_texts().items()
-        for key, text in each["options"].items()
+        (f"`{each.name}`", each.default, f"{each.meaning} {each.reason}")
+        for each in study_options()
     )
     return _table(("option", "default", "meaning"), rows)
 

@@ -8,10 +8,10 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from strainwave.errors import InvalidInput
+from strainwave.io.kept_files import study_at
 from strainwave.workbench.run_record import Run
 from strainwave.workbench.runs import Runs
 from strainwave.workbench.web import Routes, message_of, page, workspace_of
-from strainwave.workbench.workspace import study_at
 
 routes = Routes()
 

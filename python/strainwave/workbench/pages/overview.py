@@ -14,11 +14,11 @@ from tomlkit import TOMLDocument
 from strainwave.domain import channel_names
 from strainwave.errors import InvalidInput
 from strainwave.init.changes import columns_of, read_draft, table_of, tables_of
+from strainwave.io.kept_files import cached, stamp_of
 from strainwave.io.logs.columns import open_log, read_columns
 from strainwave.report.document.predictions import unit_of
 from strainwave.report.figures.outlines import Outline, outline
 from strainwave.workbench.web import Routes, study_file_of, workspace_of
-from strainwave.workbench.workspace import cached, stamp_of
 
 T = TypeVar("T")
 

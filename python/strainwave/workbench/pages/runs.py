@@ -11,12 +11,13 @@ import hashlib
 import json
 import re
 import tempfile
-import zipfile
 from argparse import ArgumentError, ArgumentParser, Namespace
 from collections.abc import AsyncIterator, Callable
 from dataclasses import asdict
 from functools import cache
 from pathlib import Path
+from urllib.parse import quote
+from zipfile import ZIP_DEFLATED, ZipFile
 
 from starlette.background import BackgroundTask
 from starlette.concurrency import run_in_threadpool
@@ -30,7 +31,7 @@ from starlette.responses import (
 )
 
 from strainwave.commands import command_texts
-from strainwave.errors import InvalidInput
+from strainwave.errors import InvalidInput, entry_of
 from strainwave.export import export_file
 from strainwave.report.document.blocks import page_scripts
 from strainwave.workbench.run_record import LOG, Kind, Run
@@ -49,7 +50,6 @@ _NO_MESSAGE = "It ended without a message: the system may have ended it for lack
 _FLAG = re.compile(r"--([a-z][a-z-]*)")
 REPORTS = ("report.html", "tune.html", "comparison.html")
 """What a run may leave to read."""
-_EXPORTS = "exports"
 _MAX_ZIP = 4 << 30  # [bytes] of the files
 
 
@@ -183,12 +183,8 @@ async def run_events(request: Request) -> Response:
 
 
 def _event(runs: Runs, name: str) -> tuple[Run, str]:
-    try:
-        run = runs.get(name)
-        return run, json.dumps(describe(run) | _state(runs, run))
-    except InvalidInput as error:  # deleted in the meantime
-        run = Run.damaged(name, str(error))
-        return run, json.dumps(describe(run))
+    run = runs.listed(name)  # may be deleted in the meantime
+    return run, json.dumps(describe(run) | (_state(runs, run) if run.commands else {}))
 
 
 @routes.page("/report/{study:path}")
@@ -256,7 +252,12 @@ def arguments_of(run: Run) -> Namespace:
 
 
 def python_script(run: Run) -> str:
-    """A script that identifies the study again as a run did, in the run's folder."""
+    """A script that identifies the study again as a run did, in the run's folder.
+
+    Empty for a run that identifies nothing.
+    """
+    if run.kind != "identify" or not run.commands:  # a damaged record has none
+        return ""
     given = arguments_of(run)  # the script saves no figures
     study = Path(given.study).as_posix()
     keywords = [f"stages={given.stages.split(',')!r}"] if given.stages else []
@@ -291,33 +292,29 @@ def list_files(request: Request) -> object:
     shown = [describe(run) for run in listed]
     for run, row in zip(listed, shown, strict=True):
         if run.name == chosen and run.commands:
-            folder = runs.path(run.name)
-            files = [(p.relative_to(folder).as_posix(), p.stat().st_size) for p in _files(folder)]
-            row["files"] = [{"name": name, "size": size} for name, size in files]
-            row["script"] = python_script(run) if _is_repeatable(run) else ""
-            row["has_result"] = (folder / "result.json").is_file()
+            files = _files(runs.path(run.name))
+            row["files"] = [{"name": k, "size": file.stat().st_size} for k, file in files.items()]
+            row["script"] = python_script(run)
+            row["has_result"] = "result.json" in files
     return shown
 
 
-def _files(folder: Path) -> list[Path]:
+def _files(folder: Path) -> dict[str, Path]:
     """Files that the commands of a run wrote; a link could lead out of the served folder."""
-    return [
-        path
+    return {
+        path.relative_to(folder).as_posix(): path
         for path in sorted(folder.rglob("*"))
         if path.is_file() and not path.is_symlink() and path.name not in RUN_FILES
-    ]
+    }
 
 
 @routes.post("/api/export/{study:path}")
 def export(request: Request, body: Body) -> object:
     """Export the result of a run in one format."""
     runs, form = runs_of(request), text_of(body, "format")
-    if form not in EXPORT_FILES:
-        formats = ", ".join(EXPORT_FILES)
-        raise InvalidInput(f"there is no format {form!r}", remedy=f"choose from: {formats}")
-    run = runs.get(text_of(body, "name"))
-    folder = runs.path(run.name)
-    target = folder / _EXPORTS / EXPORT_FILES[form]
+    file = entry_of(EXPORT_FILES, form, "format", "")
+    folder = runs.path(runs.get(text_of(body, "name")).name)
+    target = folder / "exports" / file
     written = export_file(folder / "result.json", target, form=form)
     warnings = [f"{w.where}: {w.message}" for w in written.warnings]
     return {
@@ -330,37 +327,29 @@ def export(request: Request, body: Body) -> object:
 def download_script(request: Request) -> Response:
     """The Python script that repeats a run."""
     run = _run(request)
-    if not _is_repeatable(run):
+    script = python_script(run)
+    if not script:
         raise InvalidInput(f"the run {run.name!r} identifies nothing", remedy="choose another run")
-    headers = {"content-disposition": f'attachment; filename="{run.name}.py"'}
-    return PlainTextResponse(python_script(run), headers=headers)
-
-
-def _is_repeatable(run: Run) -> bool:
-    """Whether a script can repeat a run; a run with a damaged record has no commands."""
-    return run.kind == "identify" and bool(run.commands)
+    name = quote(f"{run.name}.py")  # of any letters
+    headers = {"content-disposition": f"attachment; filename*=utf-8''{name}"}
+    return PlainTextResponse(script, headers=headers)
 
 
 @routes.page("/zip/{study:path}")
 def download_zip(request: Request) -> Response:
     """All files of a run in one archive."""
-    runs, run = runs_of(request), _run(request)
-    folder = runs.path(run.name)
-    files = _files(folder)
-    size = sum(path.stat().st_size for path in files)
+    run = _run(request)
+    files = _files(runs_of(request).path(run.name))
+    size = sum(path.stat().st_size for path in files.values())
     if size > _MAX_ZIP:
         raise InvalidInput(f"the run has {size >> 20} MiB", remedy="copy its folder")
     with tempfile.NamedTemporaryFile(suffix=".zip", delete=False) as file:
         name = Path(file.name)
         try:
-            with zipfile.ZipFile(
-                file,
-                "w",
-                zipfile.ZIP_DEFLATED,
-                strict_timestamps=False,  # some are before 1980
-            ) as archive:
-                for path in files:
-                    archive.write(path, f"{run.name}/{path.relative_to(folder).as_posix()}")
+            # without strict time stamps, since some are before 1980
+            with ZipFile(file, "w", ZIP_DEFLATED, strict_timestamps=False) as archive:
+                for key, path in files.items():
+                    archive.write(path, f"{run.name}/{key}")
         except OSError:  # no space
             name.unlink()
             raise

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from difflib import SequenceMatcher
 from functools import lru_cache
 from pathlib import Path
@@ -15,21 +14,18 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from strainwave import pipeline
-from strainwave.domain import BoolArray, Experiment, Log, channel_parts
+from strainwave.domain import Experiment, Log
 from strainwave.domain.steps import STEPS, Step, files_of
 from strainwave.domain.study import study_keys
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NotIdentifiable
 from strainwave.init.changes import KeyChange, edit_study
-from strainwave.init.signal_features import sequence_of, sequence_under_servo
+from strainwave.init.signal_features import sequences_of
+from strainwave.io.kept_files import experiment_of, fingerprint, segments_of, study_at
 from strainwave.io.study import detrendable_channels, step_table, with_steps
 from strainwave.report.document import elastic
 from strainwave.report.document.predictions import unit_of
-from strainwave.report.plotly_backend import plotly
-from strainwave.signals import hygiene
-from strainwave.signals.prepared_record import prepare_record
-from strainwave.signals.standstill import runs_of
-from strainwave.workbench.pages.signal_figures import (
+from strainwave.report.figures.log_figures import (
     UNITS,
     ShownRecord,
     View,
@@ -37,64 +33,11 @@ from strainwave.workbench.pages.signal_figures import (
     spectrum_figure,
     time_figure,
 )
+from strainwave.report.plotly_backend import plotly
+from strainwave.signals.marks import marks_of
 from strainwave.workbench.web import Body, Routes, page, study_of, text_of, workspace_of
-from strainwave.workbench.workspace import experiment_of, fingerprint, segments_of, study_at
-
-_MAX_MARKS = 200  # listed; the largest
-_MIN_STANDSTILL = 0.05  # [s] shorter ones belong to every reversal
-
-
-@dataclass(frozen=True, slots=True)
-class Mark:
-    """A stretch of a channel."""
-
-    kind: str
-    channel: str
-    start: float  # [s]
-    stop: float  # [s]
-
-
-def marks_of(log: Log, arm: Arm) -> list[Mark]:
-    """Saturation, standstill and defects of sensors, in the order of time."""
-    record = prepare_record(log, arm)
-    marks: list[Mark] = []
-    for channel, at in zip(record.channels, record.saturation.samples.T, strict=True):
-        marks += _stretches(log, "saturation", channel, at)
-    for joint, at in enumerate(record.sliding.T == 0.0, start=1):
-        standing = _stretches(log, "standstill", f"theta_m{joint}", at)
-        marks += [mark for mark in standing if mark.stop - mark.start >= _MIN_STANDSTILL]
-    for defect in hygiene.detect_defects([log], arm)[0]:
-        last = min(defect.stop, len(log) - 1)
-        kind = defect.kind.replace("-", " ")
-        times = float(log.time[defect.start]), float(log.time[last])
-        marks.append(Mark(kind, defect.channel, *times))
-    longest = sorted(marks, key=lambda m: m.start - m.stop)[:_MAX_MARKS]
-    return sorted(longest, key=lambda m: (m.start, m.channel))
-
-
-def _stretches(log: Log, kind: str, channel: str, at: BoolArray) -> Iterator[Mark]:
-    for start, stop in runs_of(at).tolist():
-        last = min(stop, len(log) - 1)
-        yield Mark(kind, channel, float(log.time[start]), float(log.time[last]))
-
-
-def sequences_of(log: Log) -> list[str]:
-    """A sentence about each pseudo-random binary sequence in the inputs."""
-    sentences = []
-    for name, values in log.channels.items():
-        if channel_parts(name)[0] not in ("u", "torque"):
-            continue
-        prbs = sequence_of(values, log.sample_time) or sequence_under_servo(values, log.sample_time)
-        if prbs is not None:
-            sentences.append(
-                f"{name}: PRBS of order {prbs.order}, clock {1e3 * prbs.clock:g} ms,"
-                f" {prbs.periods:g} periods, amplitude {prbs.amplitude:g} {unit_of(name)}"
-            )
-    return sentences
-
 
 routes = Routes()
-
 _POINTS = (200, 6000)  # smallest and largest number of points of a line
 
 
@@ -122,7 +65,11 @@ def describe_record(request: Request) -> object:
         "window": [experiment.start, experiment.stop],
         "steps": [step_table(step) for step in experiment.steps],
         "marks": [asdict(mark) for log in logs for mark in marks_of(log, arm)],
-        "sequences": sequences_of(max(logs, key=len)),
+        "sequences": [
+            f"{channel}: PRBS of order {prbs.order}, clock {1e3 * prbs.clock:g} ms,"
+            f" {prbs.periods:g} periods, amplitude {prbs.amplitude:g} {unit_of(channel)}"
+            for channel, prbs in sequences_of(max(logs, key=len)).items()
+        ],
         "files": [str(each.relative_to(path.parent)) for each in study.log_paths(experiment)],
     }
 

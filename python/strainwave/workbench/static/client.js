@@ -20,9 +20,6 @@ export const getJson = (path, query = {}) => {
 export const postJson = (path, body = {}) =>
   request(path, { method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify(body) });
 
-// The address of a request about the study.
-export const api = (name) => `/api/${name}/${address(study)}`;
-
 // Show a message at the bottom; errors stay until the next message.
 let timer;
 export function showMessage(text, isError = false) {
@@ -65,6 +62,7 @@ export function make(tag, attributes = {}, ...children) {
   return element;
 }
 
+// A button that runs an asynchronous action.
 export function button(text, attributes, action) {
   const element = make("button", { type: "button", ...attributes }, text);
   onClick(element, action);

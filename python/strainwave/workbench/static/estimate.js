@@ -1,9 +1,8 @@
 // Page "Estimate": the form of a run, and order and horizon; results.js has the table of results.
-import { act, address, byId, getJson, make, onClick, postJson, showMessage, study } from "./client.js";
+import { act, address, api, byId, getJson, make, onClick, postJson, showMessage, study } from "./client.js";
 import { draw } from "./figures.js";
 import { refresh, showReport } from "./results.js";
 
-const api = (name) => `/api/${name}/${address(study)}`;
 const fields = [...document.querySelectorAll("[data-option]")];
 let isNamed = false; // whether the user has typed the name of the next run
 
@@ -16,10 +15,14 @@ async function update() {
   if (!isNamed) byId("name").value = name;
 }
 
-function markChanged(field) {
-  field.closest(".field").classList.toggle("changed", field.value !== "");
+function clearFault(field) {
   field.removeAttribute("aria-invalid");
   byId(`fault-${field.id}`).textContent = "";
+}
+
+function markChanged(field) {
+  field.closest(".field").classList.toggle("changed", field.value !== "");
+  clearFault(field);
   const changed = fields.filter((one) => one.value !== "").length;
   byId("changed").textContent = changed ? `${changed} changed` : "";
 }
@@ -38,8 +41,7 @@ byId("settings").addEventListener("submit", (event) => {
   event.preventDefault();
   act(byId("start"), async () => {
     const options = Object.fromEntries(fields.map((field) => [field.dataset.option, field.value]));
-    if (byId("order").value) options["statespace.order"] = byId("order").value;
-    if (byId("horizon").value) options["statespace.horizon"] = byId("horizon").value;
+    for (const id of ["order", "horizon"]) if (byId(id).value) options[`statespace.${id}`] = byId(id).value;
     const { value: stages } = byId("settings").elements.stages;
     try {
       const run = await postJson(api("estimate"), { name: byId("name").value, stages, options, figures: byId("figures").checked });
@@ -51,8 +53,7 @@ byId("settings").addEventListener("submit", (event) => {
 });
 byId("name").addEventListener("input", () => {
   isNamed = true;
-  byId("name").removeAttribute("aria-invalid");
-  byId("fault-name").textContent = "";
+  clearFault(byId("name"));
 });
 for (const field of fields) field.addEventListener("input", () => markChanged(field));
 byId("reset").addEventListener("click", () => { for (const field of fields) { field.value = ""; markChanged(field); } });

@@ -1,8 +1,7 @@
 // Page "Files": downloads, exports, and what repeats a run; the address names the run.
-import { act, address, byId, getJson, make, onClick, postJson, study } from "./client.js";
+import { act, api, byId, getJson, make, onClick, postJson } from "./client.js";
 import { badge, copyText, ofRun, statusOf } from "./runs.js";
 
-const api = (name) => `/api/${name}/${address(study)}`;
 const kilobytes = (bytes) => (bytes / 1e3).toLocaleString("en", { minimumFractionDigits: 1, maximumFractionDigits: 1 });
 let run; // shown
 

@@ -1,9 +1,8 @@
 // The table of results: sort, filter, choose columns, tick runs to compare, tag, copy or delete, read reports.
-import { act, address, byId, getJson, make, onClick, postJson, showMessage, study } from "./client.js";
+import { act, address, api, button, byId, getJson, make, onClick, postJson, showMessage, study } from "./client.js";
 import { isActive } from "./run_events.js";
 import { badge, copyText, duration, ofRun, progressOf, removeRuns, showRows, statusOf } from "./runs.js";
 
-const api = (name) => `/api/${name}/${address(study)}`;
 const STORED = `columns of ${study}`;
 const MAX_CHIPS = 2; // in a row
 const KINDS = { estimates: ["identify", "virtual"], designs: ["excite", "tune"], comparisons: ["compare"] };
@@ -12,12 +11,8 @@ let table = { runs: [], columns: [], units: {} };
 let chosen = JSON.parse(localStorage.getItem(STORED) ?? "[]"); // columns; none: those of the server
 let sorting = { key: "created", isDescending: true };
 
-const percent = (value) => make("td", { class: "number" }, value == null ? "" : value.toFixed(1));
-const button = (text, attributes, action) => {
-  const element = make("button", { type: "button", ...attributes }, text);
-  onClick(element, action);
-  return element;
-};
+const query = (values) => `?${new URLSearchParams(values)}`;
+const faint = (text) => make("span", { class: "faint" }, text);
 
 // columns: key, title, value to sort by, cell; `isResult`: of finished runs only
 function columns() {
@@ -26,12 +21,14 @@ function columns() {
     key: `parameter ${label}`, title: label, unit: table.units[label], number, isResult: true,
     value: (run) => run.cells[label]?.value, cell: (run) => parameterCell(run.cells[label]),
   }));
+  const fits = ["worst", "mean"].map((key) => ({
+    key, title: `${key} fit`, unit: "%", number, isResult: true,
+    value: (run) => run[key], cell: (run) => make("td", { class: "number" }, run[key] == null ? "" : run[key].toFixed(1)),
+  }));
   return [
     { key: "name", title: "run", value: (run) => run.name, cell: nameCell },
     { key: "status", title: "status", value: statusOf, cell: (run) => make("td", {}, badge(run)) },
-    { key: "worst", title: "worst fit", unit: "%", number, isResult: true, value: (run) => run.worst, cell: (run) => percent(run.worst) },
-    { key: "mean", title: "mean fit", unit: "%", number, isResult: true, value: (run) => run.mean, cell: (run) => percent(run.mean) },
-    ...parameters,
+    ...fits, ...parameters,
     { key: "created", title: "started", value: (run) => run.created, cell: (run) => make("td", { class: "time" }, shortTime(run.created)) },
     { key: "seconds", title: "duration", number, value: (run) => run.seconds, cell: (run) => make("td", { class: "number seconds" }, duration(run.seconds)) },
     { key: "options", title: "not the default", value: (run) => chipTexts(run).join(), cell: (run) => make("td", {}, optionChips(run)) },
@@ -44,19 +41,20 @@ const shortTime = (text) => (Number.isNaN(Date.parse(text)) ? "" : clock.format(
 const { compare } = new Intl.Collator([], { numeric: true });
 
 function nameCell(run) {
-  const link = make("a", { href: `?${new URLSearchParams({ run: run.name })}`, "data-key": `open ${run.name}`, title: run.note || null }, run.name);
-  link.addEventListener("click", (event) => {
+  const onclick = (event) => {
     if (event.ctrlKey || event.metaKey || event.shiftKey) return; // a new tab or window
     event.preventDefault();
     openReport(run.name);
-  });
-  return make("th", { scope: "row" }, link);
+  };
+  const attributes = { href: query({ run: run.name }), "data-key": `open ${run.name}`, title: run.note || null, onclick };
+  return make("th", { scope: "row" }, make("a", attributes, run.name));
 }
 
 function parameterCell(cell) {
   if (!cell) return make("td");
-  const half = cell.low == null ? [] : [make("span", { class: "faint" }, ` ± ${cell.half}`)];
-  return make("td", { class: "number", title: cell.low == null ? null : `95 %: ${cell.low.toPrecision(6)} to ${cell.high.toPrecision(6)}` }, cell.text, ...half);
+  if (cell.low == null) return make("td", { class: "number" }, cell.text);
+  const title = `95 %: ${cell.low.toPrecision(6)} to ${cell.high.toPrecision(6)}`;
+  return make("td", { class: "number", title }, cell.text, faint(` ± ${cell.half}`));
 }
 
 const changedStages = (run) => (run.stages && run.stages !== byId("settings").elements.stages[0].value ? [`stages ${run.stages}`] : []);
@@ -64,33 +62,41 @@ const equations = (values) => Object.entries(values).map(([name, value]) => `${n
 const chipTexts = (run) => [...changedStages(run), ...equations(run.options), ...equations(run.rig)];
 
 function optionChips(run) {
-  const rig = new Set(equations(run.rig));
-  const texts = chipTexts(run);
-  const chips = texts.slice(0, MAX_CHIPS).map((text) => make("span", { class: rig.has(text) ? "chip doubt" : "chip", title: rig.has(text) ? `${text}: the study had another value in the run before` : text }, text));
-  if (texts.length > MAX_CHIPS) chips.push(make("span", { class: "chip", title: texts.slice(MAX_CHIPS).join("\n") }, `+${texts.length - MAX_CHIPS}`));
+  const rig = equations(run.rig), texts = chipTexts(run), more = texts.slice(MAX_CHIPS);
+  const chip = (text) => (rig.includes(text)
+    ? make("span", { class: "chip doubt", title: `${text}: the study had another value in the run before` }, text)
+    : make("span", { class: "chip", title: text }, text));
+  const chips = texts.slice(0, MAX_CHIPS).map(chip);
+  if (more.length) chips.push(make("span", { class: "chip", title: more.join("\n") }, `+${more.length}`));
   return make("div", { class: "chips" }, ...chips);
 }
 
 const tagChips = (run) => make("div", { class: "chips" }, ...run.tags.map((tag) =>
   button(tag, { class: "chip", "data-key": `tag ${tag} ${run.name}`, "aria-label": `Filter by the tag ${tag}` }, () => { byId("tagged").value = tag; show(); })));
 
+// A cell with a box that ticks runs.
+const tickCell = (what, key, runs, onChange) => make("td", {}, make("input", {
+  type: "checkbox", "aria-label": `Tick ${what}`, "data-key": `tick ${key}`,
+  checked: runs.length > 0 && runs.every((run) => ticked.has(run.name)),
+  onchange: ({ target }) => {
+    for (const run of runs) ticked[target.checked ? "add" : "delete"](run.name);
+    onChange();
+  },
+}));
+
 function row(run, all) {
-  const tick = make("input", { type: "checkbox", "aria-label": `Tick ${run.name}`, "data-key": `tick ${run.name}` });
-  tick.checked = ticked.has(run.name);
-  tick.addEventListener("change", () => { ticked[tick.checked ? "add" : "delete"](run.name); showTicked(); });
   const results = all.filter((one) => one.isResult).length;
   const note = isActive(run) ? progressOf(run, () => act(null, refresh)) : run.message;
   const cells = all.flatMap((one) => {
     if (!note || !one.isResult) return [one.cell(run)];
     return one.key === "worst" ? [make("td", { colspan: results, class: isActive(run) ? null : "bad" }, note)] : [];
   });
-  return make("tr", { "data-run": run.name, "data-state": run.state }, make("td", {}, tick), ...cells);
+  return make("tr", { "data-run": run.name, "data-state": run.state }, tickCell(run.name, run.name, [run], showTicked), ...cells);
 }
 
 function head(column) {
   const isSorted = sorting.key === column.key;
-  const label = make("button", { type: "button", class: "link", "data-key": `sort ${column.key}` }, column.title);
-  label.addEventListener("click", () => {
+  const label = button(column.title, { class: "link", "data-key": `sort ${column.key}` }, () => {
     sorting = { key: column.key, isDescending: isSorted ? !sorting.isDescending : Boolean(column.number) };
     show();
   });
@@ -121,13 +127,7 @@ function sorted(runs, column) {
 function show() {
   const all = columns();
   const runs = sorted(filtered(), all.find((one) => one.key === sorting.key) ?? all[0]);
-  const tickAll = make("input", { type: "checkbox", "aria-label": "Tick all runs shown", "data-key": "tick all" });
-  tickAll.addEventListener("change", () => {
-    for (const run of runs) ticked[tickAll.checked ? "add" : "delete"](run.name);
-    show();
-  });
-  tickAll.checked = runs.length > 0 && runs.every((run) => ticked.has(run.name));
-  showRows(byId("heads"), [make("td", {}, tickAll), ...all.map(head)], byId("table"));
+  showRows(byId("heads"), [tickCell("all runs shown", "all", runs, show), ...all.map(head)], byId("table"));
   showRows(byId("runs"), runs.map((run) => row(run, all)), byId("table"));
   const more = table.total > table.runs.length ? `, the ${table.runs.length} newest of ${table.total}` : "";
   const reading = table.pending ? `; ${table.pending} results are being read` : "";
@@ -145,14 +145,13 @@ const choose = (select, values) => {
 
 function showColumns() {
   byId("columns").replaceChildren(...Object.entries(table.units).map(([label, unit]) => {
-    const box = make("input", { type: "checkbox", value: label });
-    box.checked = table.columns.includes(label);
-    box.addEventListener("change", () => {
+    const onchange = ({ target }) => {
       chosen = [...byId("columns").querySelectorAll("input:checked")].map((one) => one.value);
       localStorage.setItem(STORED, JSON.stringify(chosen));
-      act(box, refresh);
-    });
-    return make("label", {}, box, ` ${label} `, make("span", { class: "faint" }, unit));
+      act(target, refresh);
+    };
+    const box = make("input", { type: "checkbox", value: label, checked: table.columns.includes(label), onchange });
+    return make("label", {}, box, ` ${label} `, faint(unit));
   }));
 }
 
@@ -163,7 +162,7 @@ function showTicked() {
   const hidden = ticked.size - runs.length;
   const paths = runs.filter((run) => run.path).map((run) => ["path", run.path]).reverse(); // the oldest first
   byId("ticked").textContent = `${runs.length} ticked${hidden ? `, ${hidden} hidden` : ""}`;
-  if (paths.length > 1) byId("compare").href = `/compare/${address(study)}?${new URLSearchParams(paths)}`;
+  if (paths.length > 1) byId("compare").href = `/compare/${address(study)}${query(paths)}`;
   else byId("compare").removeAttribute("href");
 }
 
@@ -221,11 +220,8 @@ const tagAs = (is_set) => changeTicked(async (names) => {
   await postJson(api("tag-runs"), { names, tag, is_set });
 });
 
-// the report that the address names
-const reported = () => new URLSearchParams(window.location.search).get("run");
-
 function openReport(name) {
-  window.history.pushState({ isOpened: true }, "", `?${new URLSearchParams({ run: name })}`);
+  window.history.pushState({ isOpened: true }, "", query({ run: name }));
   act(null, showReport);
 }
 
@@ -237,7 +233,7 @@ function closeReport() {
 
 let shownRun; // whose report is shown
 export async function showReport() {
-  const name = reported();
+  const name = new URLSearchParams(window.location.search).get("run");
   const run = table.runs.find((one) => one.name === name);
   const before = shownRun;
   shownRun = run;

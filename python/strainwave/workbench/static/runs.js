@@ -1,5 +1,5 @@
 // What pages show of runs, and what their users do with them.
-import { act, address, make, postJson, showMessage, study } from "./client.js";
+import { address, api, button, make, postJson, showMessage, study } from "./client.js";
 import { follow, isActive } from "./run_events.js";
 
 export const MARKS = {
@@ -31,8 +31,8 @@ export function activity(run) {
 export function progressOf(run, onEnd) {
   const bar = make("progress", { max: "1", value: "0", "aria-label": `Progress of ${run.name}` });
   const text = make("span", { class: "faint" }, activity(run));
-  const cancel = make("button", { type: "button", "data-key": `cancel ${run.name}`, "aria-label": `Cancel ${run.name}` }, "Cancel");
-  cancel.addEventListener("click", () => act(cancel, () => postJson(`/api/cancel-run/${address(study)}`, { name: run.name })));
+  const cancel = button("Cancel", { "data-key": `cancel ${run.name}`, "aria-label": `Cancel ${run.name}` },
+    () => postJson(api("cancel-run"), { name: run.name }));
   const place = make("div", { class: "row progress" }, bar, text, cancel);
   follow(run.name, (event) => {
     if (event.progress?.fraction != null) bar.value = event.progress.fraction;
@@ -60,7 +60,7 @@ export function showRows(body, rows, otherwise) {
 export async function removeRuns(names) {
   const [what, whose] = names.length === 1 ? ["the run", "its"] : [`${names.length} runs`, "their"];
   if (!window.confirm(`Delete ${what} with ${whose} files: ${names.slice(0, MAX_NAMED).join(", ")}${names.length > MAX_NAMED ? ", ..." : ""}?`)) return false;
-  await postJson(`/api/remove-runs/${address(study)}`, { names });
+  await postJson(api("remove-runs"), { names });
   return true;
 }
 

@@ -1,10 +1,9 @@
 // Page "Signals": the visible range of records in the resolution of the screen, spectra, window, steps.
-import { act, address, byId, getJson, make, onClick, postJson, showMessage, study } from "./client.js";
+import { act, api, byId, getJson, make, onClick, postJson, showMessage } from "./client.js";
 import { addCursor } from "./cursor.js";
 import { draw } from "./figures.js";
 import { showSteps } from "./steps.js";
 
-const api = (name) => `/api/${name}/${address(study)}`;
 const PANEL = [150, 360], FRAME = 60; // [px] range of the height of a panel, and height of the axis below
 const DEBOUNCE = 120; // [ms]
 const FIRST = ["u1", "torque1", "theta_m1", "a1", "theta_l1", "ax1"];
@@ -76,8 +75,8 @@ async function drawPanels(place, figure, layout) {
 
 async function drawTime() {
   if (!checked("channel").length) return;
-  const points = 2 * Math.max(byId("time").clientWidth, 400);
-  const figure = await newest("signal-time", [...view(), ...span(), ["points", points]]);
+  const points = ["points", 2 * Math.max(byId("time").clientWidth, 400)];
+  const figure = await newest("signal-time", [...view(), ...span(), points]);
   if (!figure) return;
   await drawPanels(byId("time"), figure, { shapes: shapes(figure) });
   if (!hasZoom) byId("time").on("plotly_relayout", onRelayout);
@@ -108,9 +107,9 @@ const redraw = () => Promise.all([drawTime(), drawSpectra()]);
 const choose = () => { saveAddress("pushState"); return act(null, redraw); };
 
 function channelBox(name) {
-  const box = make("input", { type: "checkbox", "data-channel": true, value: name, onchange: () => { chosen = checked("channel"); choose(); } });
-  box.checked = (chosen ?? FIRST).includes(name);
-  return make("label", {}, box, ` ${name}`);
+  const onchange = () => { chosen = checked("channel"); choose(); };
+  const attributes = { type: "checkbox", "data-channel": true, value: name, checked: (chosen ?? FIRST).includes(name), onchange };
+  return make("label", {}, make("input", attributes), ` ${name}`);
 }
 
 async function showRecord() {
@@ -130,9 +129,13 @@ async function showRecord() {
   byId("marks").replaceChildren(...record.marks.map((mark) => make("tr", {},
     make("th", { scope: "row" }, mark.kind), make("td", {}, mark.channel),
     make("td", { class: "number" }, mark.start.toFixed(3)), make("td", { class: "number" }, mark.stop.toFixed(3)))));
+  showDraft();
+  await redraw();
+}
+
+function showDraft() {
   showSteps(draft, record, changeSteps);
   byId("write-steps").disabled = byId("undo-steps").disabled = !hasDraft();
-  await redraw();
 }
 
 // Show the record with other steps; the study file stays until they are written.
@@ -146,8 +149,7 @@ async function changeSteps(steps) {
     draft = before;
     throw error;
   } finally {
-    showSteps(draft, record, changeSteps);
-    byId("write-steps").disabled = byId("undo-steps").disabled = !hasDraft();
+    showDraft();
   }
 }
 
@@ -176,16 +178,13 @@ onClick(byId("write-steps"), async () => {
 onClick(byId("undo-steps"), () => changeSteps(record.steps));
 onClick(byId("compute"), async () => {
   byId("joint-text").textContent = "Computing ...";
-  try {
-    const shown = await getJson(api("joint-spectrum"), { experiment: experiment() });
-    byId("joint").hidden = false;
-    byId("joint-text").textContent = shown.text;
-    byId("joint-checks").replaceChildren(...shown.checks.map((check) =>
-      make("li", { class: check.passed ? "" : "doubt" }, `${check.passed ? "passed" : "doubtful"}: ${check.message}`)));
-    await draw(byId("joint"), shown.figure);
-  } catch (error) {
-    byId("joint-text").textContent = error.message;
-  }
+  const shown = await getJson(api("joint-spectrum"), { experiment: experiment() })
+    .catch((error) => ({ text: error.message, checks: [] }));
+  byId("joint-text").textContent = shown.text;
+  byId("joint-checks").replaceChildren(...shown.checks.map((check) =>
+    make("li", { class: check.passed ? "" : "doubt" }, `${check.passed ? "passed" : "doubtful"}: ${check.message}`)));
+  byId("joint").hidden = !shown.figure;
+  if (shown.figure) await draw(byId("joint"), shown.figure);
 });
 byId("record").addEventListener("change", () => act(byId("record"), async () => {
   [range, draft] = [null, null];

@@ -1,5 +1,5 @@
 // The preprocessing steps of a record: a list in the order of application, and a form for one more.
-import { act, byId, make, onClick } from "./client.js";
+import { act, button, byId, make } from "./client.js";
 
 let steps, change;
 
@@ -8,12 +8,10 @@ const describe = ({ kind, ...keys }) => `${kind}: ${Object.entries(keys).map(([k
 
 // Buttons act on the list, and keep the focus on the step, or on the form if it is gone.
 function stepButton(text, label, focus, changed) {
-  const button = make("button", { type: "button", class: "quiet", "aria-label": label, title: label }, text);
-  onClick(button, async () => {
+  return button(text, { class: "quiet", "aria-label": label, title: label }, async () => {
     await change(changed());
     (byId("steps").children[focus]?.querySelector("button:not([disabled])") ?? byId("step-kind")).focus();
   });
-  return button;
 }
 
 function stepRow(step, k) {
@@ -36,8 +34,6 @@ export function showSteps(given, record, changed) {
   }
 }
 
-const fields = () => document.querySelectorAll(`[data-step="${byId("step-kind").value}"] [data-key]`);
-
 function entryOf(field) {
   if (field.multiple) return [...field.selectedOptions].map((option) => option.value);
   return field.dataset.kind === "text" ? field.value.trim() : Number(field.value);
@@ -50,9 +46,10 @@ byId("step-kind").addEventListener("change", showKind);
 showKind();
 byId("step-form").addEventListener("submit", (event) => {
   event.preventDefault();
-  const entries = [...fields()].map((field) => [field.dataset.key, entryOf(field)]);
-  const step = { kind: byId("step-kind").value, ...Object.fromEntries(entries) };
+  const kind = byId("step-kind").value;
+  const fields = [...document.querySelectorAll(`[data-step="${kind}"] [data-key]`)];
+  const step = { kind, ...Object.fromEntries(fields.map((field) => [field.dataset.key, entryOf(field)])) };
   // logs are merged before the other steps
-  const place = step.kind === "merge" ? steps.filter((each) => each.kind === "merge").length : steps.length;
+  const place = kind === "merge" ? steps.filter((each) => each.kind === "merge").length : steps.length;
   act(byId("add-step"), () => change(steps.toSpliced(place, 0, step)));
 });

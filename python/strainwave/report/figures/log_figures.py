@@ -1,4 +1,4 @@
-"""Figures of page "Signals": channels of records over time, their spectra, coherence."""
+"""Figures of logs: chosen channels of records over time, their spectra, and coherence."""
 
 from __future__ import annotations
 
