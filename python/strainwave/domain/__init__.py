@@ -6,6 +6,7 @@ in rad.
 
 from __future__ import annotations
 
+from strainwave.domain.arm.assumed_values import AssumedValues as AssumedValues
 from strainwave.domain.arm.base_parameters import BaseParameters as BaseParameters
 from strainwave.domain.arm.combinations import SharedViscousFriction as SharedViscousFriction
 from strainwave.domain.arm.description import ArmDescription as ArmDescription
@@ -96,6 +97,10 @@ from strainwave.domain.results.stage_results import StageResults as StageResults
 from strainwave.domain.results.stage_results import Sweep as Sweep
 from strainwave.domain.results.stage_results import SweepPoint as SweepPoint
 from strainwave.domain.results.stage_results import TorsionFit as TorsionFit
+from strainwave.domain.steps import Detrend as Detrend
+from strainwave.domain.steps import LowPass as LowPass
+from strainwave.domain.steps import Merge as Merge
+from strainwave.domain.steps import Resample as Resample
 from strainwave.domain.study import STAGES as STAGES
 from strainwave.domain.study import Channel as Channel
 from strainwave.domain.study import Control as Control
@@ -112,6 +117,7 @@ from strainwave.domain.study import RigidOptions as RigidOptions
 from strainwave.domain.study import Stage as Stage
 from strainwave.domain.study import Study as Study
 from strainwave.domain.study import StudyKey as StudyKey
+from strainwave.domain.study import StudyOption as StudyOption
 from strainwave.domain.study import Use as Use
 from strainwave.domain.study import WholeArmOptions as WholeArmOptions
 from strainwave.domain.study import channel_kinds as channel_kinds
