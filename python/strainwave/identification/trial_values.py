@@ -7,7 +7,6 @@ servo of the study or by the recorded voltages.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Collection
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -44,8 +43,9 @@ from strainwave.identification.whole_arm.records.preparation import (
     dataset_of,
     lengthen_steps,
 )
+from strainwave.io.atomic_files import read_json
 from strainwave.io.parameters import read_assumptions, read_parameters
-from strainwave.io.results import stage_estimates_of
+from strainwave.io.results import NOT_A_RESULT, stage_estimates_of
 from strainwave.numerics.spectra import correlate_residuals
 from strainwave.signals.motor import SignalOptions, motion_bands, prepare_motor_signals
 from strainwave.signals.prepared_record import prepare_record
@@ -63,7 +63,7 @@ _OF_RIGID = "the smallest value with which the rigid model fits the records"
 def starting_values(description: ArmDescription, file: Path) -> AssumedValues:
     """Values of all parameters from a result or a parameter file, also where it has none."""
     given = read_parameters(file)
-    document = json.loads(file.read_bytes())
+    document = read_json(file, "the start", NOT_A_RESULT)
     entries = document.get("parameters")
     listed = entries if isinstance(entries, list) else []
     known = {(p["name"], p.get("joint")) for p in listed if p.get("value") is not None}
@@ -256,9 +256,4 @@ def _cut(log: Log, window: tuple[float, float]) -> Log:
     rows = slice(int(first), int(last))
     if first == 0 and last >= len(log):
         return log
-    return replace(
-        log,
-        time=log.time[rows],
-        channels={name: values[rows] for name, values in log.channels.items()},
-        masked={name: mask[rows] for name, mask in log.masked.items()},
-    )
+    return log.cut(rows)

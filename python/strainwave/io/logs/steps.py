@@ -213,9 +213,7 @@ def cut_to_window(logs: Sequence[Log], experiment: Experiment, path: Path) -> li
         first = int(np.searchsorted(log.time, start - tolerance))
         rows = slice(first, int(np.searchsorted(log.time, stop + tolerance, side="right")))
         if rows.stop - rows.start >= least:
-            channels = {name: values[rows] for name, values in log.channels.items()}
-            masked = {name: mask[rows] for name, mask in log.masked.items()}
-            cut.append(replace(log, time=log.time[rows], channels=channels, masked=masked))
+            cut.append(log.cut(rows))
     if not cut:
         raise InvalidInput(
             f"less than {least} samples are in the window from {start:g} to {stop:g} s: the "

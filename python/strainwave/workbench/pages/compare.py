@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections import Counter
 from collections.abc import Sequence
@@ -30,8 +29,9 @@ from strainwave.fleet.monitoring.comparison_output import to_document
 from strainwave.identification.closed_loop import restrict_to_values
 from strainwave.identification.trial_values import ChannelTest, starting_values, window_of
 from strainwave.identification.whole_arm.inference.fit_tests import SIGNIFICANCE_LEVEL
+from strainwave.io.atomic_files import read_json
 from strainwave.io.kept_files import fingerprint, log_of, study_at
-from strainwave.io.results import rigid_band_of
+from strainwave.io.results import NOT_A_RESULT, rigid_band_of
 from strainwave.report.document.blocks import read_figures
 from strainwave.report.document.predictions import difference_figure
 from strainwave.report.figures.comparison import (
@@ -153,7 +153,8 @@ def _predicted(
     arm, log = study_at(study).arm, log_of(study, record)
     values = starting_values(arm, result).values
     arm, first = restrict_to_values(Arm.of(arm), values), float(log.time[0])
-    band, span = rigid_band_of(json.loads(result.read_bytes())), (first, first + _MAX_DURATION)
+    band = rigid_band_of(read_json(result, "the result", NOT_A_RESULT))
+    span = (first, first + _MAX_DURATION)
     window = window_of(log, span, arm, band or None, exact_at=values)
     prediction = window.predict(values)
     return prediction, window.residual_tests(prediction)
