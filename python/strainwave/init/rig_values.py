@@ -6,6 +6,7 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
+from strainwave.domain.steps import files_named
 from strainwave.errors import InvalidInput
 from strainwave.init.changes import (
     KeyChange,
@@ -63,9 +64,7 @@ def is_study_of(text: str, names: Collection[str]) -> bool:
         document = _parse(text)
     except InvalidInput:
         return False
-    experiments, arm = tables_of(document, "experiment"), table_of(document, "arm")
-    files = [*(each.get("file") for each in experiments), arm.get("urdf")]
-    return bool(experiments) and all(file in (None, *names) for file in files)
+    return bool(tables_of(document, "experiment")) and set(files_named(document)) <= set(names)
 
 
 def _parse(text: str) -> dict[str, Any]:
