@@ -84,11 +84,12 @@ def _read(path: Path, _size: int, _time: int) -> Summary:
         return Summary(fault=f"{path.name} is damaged")
 
 
-def key_parameters(labels: Iterable[str]) -> list[str]:
+def key_parameters(parameters: Iterable[Parameter]) -> list[str]:
     """Labels of the first of the key parameters, each with all joints."""
+    known = {each.label: each.name for each in parameters}
     columns: list[str] = []
     for name in _KEY_PARAMETERS:
-        group = [label for label in labels if f"{label} ".startswith(f"{name} ")]
+        group = [label for label, own in known.items() if own == name]
         if not columns or len(columns) + len(group) <= _MAX_COLUMNS:
             columns += group
     return columns

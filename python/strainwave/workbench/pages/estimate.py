@@ -159,9 +159,10 @@ def _table(request: Request, runs: Runs) -> dict[str, Any]:
         if summaries and time.monotonic() > limit:
             break
         summaries[run.name] = summary_of(runs.path(run.name) / _RESULT)
-    units = {p.label: p.unit for one in summaries.values() for p in one.parameters.values()}
+    parameters = [p for one in summaries.values() for p in one.parameters.values()]
+    units = {p.label: p.unit for p in parameters}
     columns = [label for label in request.query_params.getlist("column") if label in units]
-    columns = columns or key_parameters(units)
+    columns = columns or key_parameters(parameters)
     rows: list[dict[str, Any]] = []
     rig: Mapping[str, str] = {}
     for run in listed:
