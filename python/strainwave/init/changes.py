@@ -123,6 +123,12 @@ def table_spans(lines: Sequence[str], name: str) -> list[tuple[int, int]]:
     return spans
 
 
+def table_texts(text: str, name: str) -> list[str]:
+    """The lines of each table of an array, without its header."""
+    lines = text.split("\n")
+    return ["\n".join(lines[first + 1 : end]) for first, end in table_spans(lines, name)]
+
+
 def _with_table(
     document: tomlkit.TOMLDocument, change: KeyChange, path: Path
 ) -> tomlkit.TOMLDocument:

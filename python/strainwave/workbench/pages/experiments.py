@@ -20,7 +20,7 @@ from strainwave.init.changes import (
     read_draft,
     read_study_text,
     table_of,
-    table_spans,
+    table_texts,
     tables_of,
 )
 from strainwave.init.rig_values import rig_changes
@@ -51,8 +51,8 @@ _CELLS = {  # title and kind of a key
 
 def experiments_of(document: tomlkit.TOMLDocument) -> list[dict[str, Any]]:
     """The experiments as rows of a form: a cell for each key, and the text to duplicate one."""
-    lines = tomlkit.dumps(document).split("\n")
-    tables, spans = tables_of(document, "experiment"), table_spans(lines, "experiment")
+    tables = tables_of(document, "experiment")
+    texts = table_texts(tomlkit.dumps(document), "experiment")
     rows = []
     for index, table in enumerate(tables):
         cells = [
@@ -60,8 +60,7 @@ def experiments_of(document: tomlkit.TOMLDocument) -> list[dict[str, Any]]:
             | {"kind": kind, "choices": _USES if key == "use" else [], "is_list": key == "control"}
             for key, (title, kind) in _CELLS.items()
         ]
-        first, end = spans[index] if len(spans) == len(tables) else (0, 0)
-        text = "\n".join(lines[first + 1 : end])
+        text = texts[index] if len(texts) == len(tables) else ""
         rows.append({"name": str(table.get("name", "")), "text": text, "cells": cells})
     return rows
 
@@ -111,8 +110,7 @@ def _drafts(
         draft = draft_study(logs, study, urdf)
         if draft.joints != n_joints:
             raise InvalidInput(f"the columns are those of {draft.joints} joint(s)")
-        texts = draft.text.split("\n[[experiment]]\n")[1:]
-        yield from ((text, None) for text in texts)
+        yield from ((text, None) for text in table_texts(draft.text, "experiment"))
     except InvalidInput as error:
         if len(logs) > 1:
             for log in logs:
