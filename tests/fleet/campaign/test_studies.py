@@ -125,33 +125,31 @@ def test_hashes_change_with_the_study_and_its_logs(tmp_path: Path) -> None:
     assert case.hashes()[0] is None
 
 
-def test_a_urdf_is_an_input_of_its_study(tmp_path: Path) -> None:
-    (tmp_path / "study.toml").write_text(
-        STUDY.replace('kind = "single-joint"', 'kind = "serial"\nurdf = "robot.urdf"')
-    )
-    (tmp_path / "robot.urdf").write_text("<robot/>")
+@pytest.mark.parametrize(
+    ("name", "before", "after"),
+    [
+        ("robot.urdf", 'kind = "single-joint"', 'kind = "serial"\nurdf = "robot.urdf"'),
+        (
+            "part2.csv",
+            "[[experiment]]",
+            '[[experiment]]\nsteps = [{ kind = "merge", file = "part2.csv" }]',
+        ),
+    ],
+    ids=["urdf", "merged log"],
+)
+def test_further_files_are_inputs_of_their_study(
+    tmp_path: Path, name: str, before: str, after: str
+) -> None:
+    (tmp_path / "study.toml").write_text(STUDY.replace(before, after, 1))
+    (tmp_path / name).write_text("<robot/>")
     location = (tmp_path / "study.toml").as_uri()
     with StudyFile(location, location).opened() as opened:
         assert isinstance(opened.study, Path)
-        assert (opened.study.parent / "robot.urdf").read_text() == "<robot/>"
+        assert (opened.study.parent / name).read_text() == "<robot/>"
     local = StudyFile("study", str(tmp_path / "study.toml"))
     first = local.hashes()
-    (tmp_path / "robot.urdf").write_text("<robot></robot>")
+    (tmp_path / name).write_text("<robot></robot>")
     assert local.hashes()[0] == first[0]
-    assert local.hashes()[1] != first[1]
-
-
-def test_a_merged_log_is_an_input_of_its_study(tmp_path: Path) -> None:
-    step = '[[experiment]]\nsteps = [{ kind = "merge", file = "part2.csv" }]'
-    (tmp_path / "study.toml").write_text(STUDY.replace("[[experiment]]", step, 1))
-    (tmp_path / "part2.csv").write_text("1")
-    location = (tmp_path / "study.toml").as_uri()
-    with StudyFile(location, location).opened() as opened:
-        assert isinstance(opened.study, Path)
-        assert (opened.study.parent / "part2.csv").read_text() == "1"
-    local = StudyFile("study", str(tmp_path / "study.toml"))
-    first = local.hashes()
-    (tmp_path / "part2.csv").write_text("2")
     assert local.hashes()[1] != first[1]
 
 

@@ -88,12 +88,3 @@ export function setOptions(select, entries, wanted = select.value) {
   }
   if ([...select.options].some((one) => one.value === String(wanted))) select.value = wanted;
 }
-
-// Call `action` at most once per frame, with the latest arguments.
-export function oncePerFrame(action) {
-  let waiting, latest;
-  return (...given) => {
-    latest = given;
-    waiting ??= requestAnimationFrame(() => { waiting = undefined; action(...latest); });
-  };
-}
