@@ -277,14 +277,14 @@ class Arm(ArmDescription):
         fastest = np.abs(np.linalg.inv(self.transmission)) @ links
         return np.asarray(links * np.min(motors / fastest))
 
-    def links_of_rigid(self, motor_share: float = 0.0) -> FloatArray:
+    def links_of_rigid(self, motor_share: float | FloatArray = 0.0) -> FloatArray:
         """Link parameters that have given base parameters: (n_links, n_body).
 
         `motor_share` is the share of the motors in inertias that rigid motion does not separate.
         """
         return self.base.particular(motor_share)[: len(self.base.links)]
 
-    def motors_of_rigid(self, motor_share: float) -> FloatArray:
+    def motors_of_rigid(self, motor_share: float | FloatArray) -> FloatArray:
         """Motor inertias that have given base parameters: (n_joints, n_body)."""
         return self.base.particular(motor_share)[len(self.base.links) :]
 

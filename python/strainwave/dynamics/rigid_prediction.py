@@ -74,7 +74,7 @@ def gear_load(
     solution: FloatArray,
     links: Motion,
     payload: Payload | None = None,
-    motor_share: float = MOTOR_SHARE,
+    motor_share: float | FloatArray = MOTOR_SHARE,
 ) -> FloatArray:
     """Torque that the gears transmit, at the motor: (n_samples, n_joints) [N m].
 
@@ -93,7 +93,7 @@ def link_motion(arm: Arm, motors: Motion, torsion: Motion = ()) -> list[FloatArr
 
 
 def body_regressor(
-    arm: Arm, links: Motion, torsion: Motion = (), motor_share: float = MOTOR_SHARE
+    arm: Arm, links: Motion, torsion: Motion = (), motor_share: float | FloatArray = MOTOR_SHARE
 ) -> FloatArray:
     """Motor torques per parameter of the bodies: (n_samples, n_joints, n_body).
 

@@ -68,12 +68,13 @@ class BaseParameters:
     rows: FloatArray  # (n_base, n_links + n_joints) weights of link parameters and motor inertias
     independent: tuple[int, ...]  # (n_base,) index of the independent parameter of each
 
-    def particular(self, motor_share: float = 0.0) -> FloatArray:
+    def particular(self, motor_share: float | FloatArray = 0.0) -> FloatArray:
         """Parameters that have given base parameters: (n_links + n_joints, n_base).
 
-        `motor_share` is the share of the motors in base parameters that contain inertias of a motor
-        and of links. The torques do not depend on it.
+        `motor_share` is the share of all motors, or of each one, (n_joints,), in base parameters
+        that contain inertias of a motor and of links. The torques do not depend on it.
         """
+        shares = np.broadcast_to(motor_share, self.rows.shape[1] - len(self.links))
         leading = np.zeros(self.rows.T.shape)
         for k, at in enumerate(self.independent):
             leading[at, k] = 1.0 / self.rows[k, at]
@@ -83,7 +84,8 @@ class BaseParameters:
             if len(groups) and motor not in self.independent:
                 shift = -leading @ self.rows[:, motor]
                 shift[motor] += 1.0
-                particular[:, groups[0]] += motor_share / self.rows[groups[0], motor] * shift
+                share = shares[motor - len(self.links)]
+                particular[:, groups[0]] += share / self.rows[groups[0], motor] * shift
         return particular
 
     @property

@@ -28,8 +28,8 @@ _MIN_SHARE = 1e-8  # of a step
 _FIRST_WEIGHT = 1e-5
 _FACTOR = math.sqrt(10.0)  # from one weight to the next; smaller after a failure
 _MIN_FACTOR = 1.02
-# rows and columns of the inertias in the order of `LINK_PARAMETERS`
-_INERTIA_ENTRIES = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))
+INERTIA_ENTRIES = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))
+"""Rows and columns of the inertias in the order of `LINK_PARAMETERS`."""
 _GUESSED_MASS = 3.0  # [kg] of a link without prior
 _GUESSED_LENGTH = 0.2  # [m] of a link that carries no joint
 _GUESSED_RADIUS = 0.4  # radius of gyration over the link's length
@@ -123,7 +123,7 @@ def principal_moments(link: LinkPrior) -> FloatArray:
     Each is less than the sum of the others for a body with a positive mass.
     """
     mass, first, about = link[0], np.array(link[1:4]), np.zeros((3, 3))
-    for value, (row, column) in zip(link[4:], _INERTIA_ENTRIES, strict=True):
+    for value, (row, column) in zip(link[4:], INERTIA_ENTRIES, strict=True):
         about[row, column] = about[column, row] = value
     if mass > 0.0:
         about -= (first @ first * np.eye(3) - np.outer(first, first)) / mass
@@ -136,7 +136,7 @@ def standard_parameters(mass: float, centre: FloatArray, inertia: FloatArray) ->
     The axes are those of the link's frame; the parameters are about its origin (Steiner).
     """
     about = inertia + mass * (centre @ centre * np.eye(3) - np.outer(centre, centre))
-    entries = [float(about[entry]) for entry in _INERTIA_ENTRIES]
+    entries = [float(about[entry]) for entry in INERTIA_ENTRIES]
     return (mass, *(mass * centre).tolist(), *entries)
 
 
@@ -150,7 +150,7 @@ def _basis() -> FloatArray:
     basis[0, 3, 3] = 1.0
     for axis in range(3):
         basis[1 + axis, axis, 3] = basis[1 + axis, 3, axis] = 1.0
-    for k, (row, column) in enumerate(_INERTIA_ENTRIES, start=4):
+    for k, (row, column) in enumerate(INERTIA_ENTRIES, start=4):
         if row == column:
             basis[k, range(3), range(3)] = 0.5
             basis[k, row, row] = -0.5

@@ -53,7 +53,7 @@ class MotorShares:
     act on velocities that differ by the rate of the torsion.
     """
 
-    inertia: float = MOTOR_SHARE
+    inertia: float | FloatArray = MOTOR_SHARE  # of all motors, or (n_joints,)
     viscous_friction: float = MOTOR_SHARE
 
     @staticmethod
@@ -391,10 +391,7 @@ def _body_equations(
         shape = len(phi), arm.n_joints
         lags, shared_lag = np.zeros((*shape, 0)), np.zeros((*shape, arm.n_shared))
         return _BodyEquations(phi, lags, torque, np.zeros(shape), shared_lag)
-    gear = _gear_torque(arm, stretch, linearised_at, linearised_at.stiction_torque[record])
-    interval = stretch.motion_step * stretch.signals.sample_time
-    dgear = differentiate(gear, interval)
-    ddgear = differentiate(dgear, interval)
+    gear, dgear, ddgear = _gear_torques(arm, stretch, linearised_at, record)
     c = linearised_at.compliance
     angle, torsion = links[0], (c * gear, c * dgear, c * ddgear)
     links = [x - twist for x, twist in zip(links, torsion, strict=True)]
@@ -414,6 +411,27 @@ def _body_equations(
     at_links = list(arm.shared_links)
     shared_lag = lag_velocity[:, None, at_links] * arm.transmission[at_links].T
     return _BodyEquations(phi, lags, torque + lags @ c, own_lag, shared_lag)
+
+
+def twisted_links(
+    arm: Arm, stretch: FilteredRecord, linearised_at: Estimate, record: int
+) -> list[FloatArray]:
+    """Motion of the links behind twisted gears, as `FilteredRecord.motion`."""
+    links = stretch.link_motion(arm)
+    if not n_compliances(arm):
+        return links
+    gears = _gear_torques(arm, stretch, linearised_at, record)
+    return [q - linearised_at.compliance * T for q, T in zip(links, gears, strict=True)]
+
+
+def _gear_torques(
+    arm: Arm, stretch: FilteredRecord, linearised_at: Estimate, record: int
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Torque through each gear, link side, and its first two derivatives."""
+    gear = _gear_torque(arm, stretch, linearised_at, linearised_at.stiction_torque[record])
+    interval = stretch.motion_step * stretch.signals.sample_time
+    rate = differentiate(gear, interval)
+    return gear, rate, differentiate(rate, interval)
 
 
 def _motor_shares(arm: Arm, linearised_at: Estimate) -> FloatArray:

@@ -1,0 +1,353 @@
+"""Payload step: the ten standard parameters of a load on the last link of an identified arm.
+
+The load adds Y_n phi to the torques of the arm, with its standard parameters phi in the last link's
+frame and the ten columns Y_n of that link:
+
+    tau = Y(q, dq, ddq) pi + friction + Y_n phi
+
+The equations are those of the rigid step, filtered and with the torsion of elastic gears. The arm's
+parameters are unknowns with the identified values and their covariance as prior, so the intervals
+of the load contain the errors of the arm.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from functools import partial
+
+import numpy as np
+
+from strainwave.domain import BoolArray, FloatArray, FrictionTerm, Signals
+from strainwave.domain.arm.base_parameters import MOTOR_INERTIA
+from strainwave.domain.arm.combinations import FRICTION_COLUMNS
+from strainwave.domain.arm.consistent_links import (
+    INERTIA_ENTRIES,
+    consistent_links,
+    standard_parameters,
+)
+from strainwave.domain.arm.description import LinkPrior
+from strainwave.domain.arm.kinds.base import MOTOR_SHARE
+from strainwave.domain.keys import Key
+from strainwave.domain.results.distributions import chi_square_limit, student_quantile
+from strainwave.dynamics.arm import Arm
+from strainwave.dynamics.rigid_prediction import corrected_signals
+from strainwave.errors import NotIdentifiable
+from strainwave.identification.rigid.equations import (
+    Estimate,
+    FurtherTerm,
+    MotorShares,
+    assemble,
+    estimate_of,
+    term_columns,
+    twisted_links,
+)
+from strainwave.identification.rigid.filtered_record import FilteredRecord, n_compliances
+from strainwave.identification.rigid.trial import Motion, excess_variance, prepare_all
+from strainwave.numerics import least_squares as ls
+from strainwave.numerics.parallel import run_parallel
+from strainwave.signals.motor import period_of
+
+N_PARAMETERS = 10
+"""Standard parameters of a body: mass, first moments, inertias about the frame's origin."""
+
+_MAX_ITERATIONS = 12
+_TOLERANCE = 0.02  # change in standard deviations for white errors, as in the rigid step
+# friction changes with temperature and time: prior standard deviation relative to its values
+_FRICTION_CHANGE = 0.1
+_UNKNOWN_STDS = 10.0  # prior standard deviation of an undetermined parameter, over its torque
+_BANDWIDTH_RATIOS = (2.0**-0.5, 2.0**0.5)  # at which the change of the estimate shows model errors
+_GUESSED_RADIUS = 0.05  # [m] radius of gyration of the load to which the consistent one is nearest
+_MIN_WEIGHT = 1e-12  # of a direction of the covariance, which is singular to rounding below it
+_MOVED_LEVEL = 1e-4  # probability of a change of this size by chance
+
+
+@dataclass(frozen=True, slots=True)
+class ArmPrior:
+    """Identified parameters of an arm with their errors, in the order of `Arm.rigid_columns`."""
+
+    solution: FloatArray  # (n_parameters,); zero if not determined
+    covariance: FloatArray  # (n_parameters, n_parameters)
+    is_determined: BoolArray  # (n_parameters,)
+    compliance: FloatArray  # (n_joints,) [rad/(N m), m/N] of the gears, link side
+    compliance_std: FloatArray  # (n_joints,)
+    motor_shares: FloatArray  # (n_joints,) of inertias that rigid motion does not separate
+    bandwidth_hz: float  # of the rigid model
+    friction_terms: tuple[FrictionTerm, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class LoadFit:
+    """Standard parameters of a load in the last link's frame, with their errors."""
+
+    value: FloatArray  # (10,) unconstrained estimate
+    covariance: FloatArray  # (10, 10)
+    is_determined: BoolArray  # (10,)
+    half_width: float  # of 95 % intervals, in standard deviations
+    shift: float  # squared distance of the halves of the records over its limit; above 1: it moved
+
+    @property
+    def consistent(self) -> LinkPrior:
+        """Standard parameters of a body that agree with the estimate within its errors."""
+        value, covariance = self.value, self.covariance
+        mass = max(float(value[0]), 3.0 * float(np.sqrt(covariance[0, 0])))
+        guess = standard_parameters(mass, value[1:4] / mass, mass * _GUESSED_RADIUS**2 * np.eye(3))
+        scale = np.sqrt(np.diag(covariance))
+        sizes, directions = np.linalg.eigh(covariance / np.outer(scale, scale))
+        kept = sizes > _MIN_WEIGHT * sizes[-1]
+        rows = (directions[:, kept] / np.sqrt(sizes[kept])).T / scale
+        return tuple(consistent_links([guess], rows, rows @ value).tolist())
+
+    @property
+    def about_centre(self) -> tuple[FloatArray, FloatArray]:
+        """Mass, centre of mass, and inertia xx, xy, xz, yy, yz, zz about it; their covariance."""
+        changes = np.stack([_about_centre(self.value, unit)[1] for unit in np.eye(N_PARAMETERS)])
+        values, _ = _about_centre(self.value, np.zeros(N_PARAMETERS))
+        return values, changes.T @ self.covariance @ changes
+
+
+def _about_centre(value: FloatArray, change: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Mass, centre and inertia about it for standard parameters; their derivative along a change.
+
+    I_c = I - (h.h E - h h')/m with the inertia I about the origin and the first moments h.
+    """
+    (m, *_), h, inertia = value, value[1:4], _inertia_matrix(value[4:])
+    dm, dh = change[0], change[1:4]
+    steiner = h @ h * np.eye(3) - np.outer(h, h)
+    of_h = 2.0 * (h @ dh) * np.eye(3) - np.outer(h, dh) - np.outer(dh, h)
+    centre, about = h / m, inertia - steiner / m
+    d_centre = dh / m - h * dm / m**2
+    d_about = _inertia_matrix(change[4:]) - of_h / m + steiner * dm / m**2
+    upper = np.triu_indices(3)
+    return (
+        np.concatenate([[m], centre, about[upper]]),
+        np.concatenate([[dm], d_centre, d_about[upper]]),
+    )
+
+
+def _inertia_matrix(entries: FloatArray) -> FloatArray:
+    """Inertias in the order of standard parameters as a matrix (3, 3)."""
+    matrix = np.zeros((3, 3))
+    for entry, (row, column) in zip(entries, INERTIA_ENTRIES, strict=True):
+        matrix[row, column] = matrix[column, row] = entry
+    return matrix
+
+
+def fit_load(signals: Sequence[Signals], arm: Arm, prior: ArmPrior) -> LoadFit:
+    """Estimate the load of records of an identified arm.
+
+    `signals` has one item per record, from `signals.prepare_motor_signals`. Raises NotIdentifiable
+    if no motor slides, or if no sample is usable.
+    """
+    records = [
+        (corrected, period_of(corrected))
+        for corrected in (corrected_signals(s, arm, prior.friction_terms) for s in signals)
+    ]
+
+    def fit(records: Sequence[Motion], ratio: float = 1.0) -> LoadFit:
+        return _fit(prepare_all(arm, records, ratio * prior.bandwidth_hz), arm, prior)
+
+    halves = [[_half(s, part) for s, _ in records] for part in (0, 1)]
+    best, *others = run_parallel(
+        [
+            partial(fit, records),
+            *(partial(fit, records, ratio) for ratio in _BANDWIDTH_RATIOS),
+            *(partial(fit, half) for half in halves),
+        ]
+    )
+    bandwidths, parts = others[: len(_BANDWIDTH_RATIOS)], others[len(_BANDWIDTH_RATIOS) :]
+    excess = excess_variance(best.value, [(o.value, np.diag(o.covariance)) for o in bandwidths])
+    covariance = best.covariance + np.diag(np.where(best.is_determined, excess, 0.0))
+    return replace(best, covariance=covariance, shift=_shift(*parts))
+
+
+def _half(signals: Signals, part: int) -> Motion:
+    """One half of a record."""
+    middle = len(signals.time) // 2
+    kept = slice(0, middle) if part == 0 else slice(middle, None)
+    arrays = {
+        f.name: getattr(signals, f.name)[kept]
+        for f in fields(signals)
+        if isinstance(value := getattr(signals, f.name), np.ndarray)
+        and len(value) == len(signals.time)
+    }
+    half = replace(signals, **arrays)
+    return half, period_of(half)
+
+
+def _shift(first: LoadFit, second: LoadFit) -> float:
+    """Squared distance of mass and first moments of two fits over its limit."""
+    at = slice(0, 4)
+    change = (second.value - first.value)[at]
+    covariance = (first.covariance + second.covariance)[at, at]
+    distance = float(change @ np.linalg.solve(covariance, change))
+    return distance / chi_square_limit(_MOVED_LEVEL, 4)
+
+
+def _fit(stretches: tuple[FilteredRecord, ...], arm: Arm, prior: ArmPrior) -> LoadFit:
+    """Iterate the load, the changes of the arm and the weights to convergence at one bandwidth."""
+    shares = replace(MotorShares.usual(arm), inertia=prior.motor_shares)
+    no_friction = tuple(
+        np.zeros_like(s.motion[0] if s.stiction_shapes else s.torque[:0]) for s in stretches
+    )
+    estimate = Estimate(prior.solution, prior.compliance, no_friction, shares)
+    value, root = np.zeros(N_PARAMETERS), np.zeros(0)
+    for iteration in range(_MAX_ITERATIONS):
+        equations, spread = _equations(arm, stretches, estimate, prior)
+        if not len(equations.target):
+            raise NotIdentifiable("every sample is at an edge or in saturation; record for longer")
+        if not len(root):
+            root = ls.initial_weights(equations.target, equations.group)
+        factor = ls.factorise(equations, root)
+        change, value = factor.value - value, factor.value
+        known = factor.deviation > 0.0
+        if iteration > 1 and np.all(np.abs(change[known]) <= _TOLERANCE * factor.deviation[known]):
+            break
+        free = estimate_of(arm, stretches, equations, factor, shares).stiction_torque
+        shift = spread @ factor.common[n_compliances(arm) :]
+        estimate = replace(estimate, solution=prior.solution + shift, stiction_torque=free)
+        root = ls.root_weights(equations, factor)
+    covariance, _ = ls.jackknife(equations, factor)
+    return LoadFit(
+        value=value,
+        covariance=covariance,
+        is_determined=ls.determined(equations, factor, covariance),
+        half_width=student_quantile(0.975, max(1, len(np.unique(equations.block)) - 1)),
+        shift=0.0,
+    )
+
+
+def _equations(
+    arm: Arm, stretches: Sequence[FilteredRecord], estimate: Estimate, prior: ArmPrior
+) -> tuple[ls.Equations, FloatArray]:
+    """Equations of the load; the arm's errors are common nuisance parameters.
+
+    Second, the parameters per nuisance parameter of unit standard deviation, (n_parameters, k).
+    """
+    of_arm = assemble(arm, stretches, estimate)
+    spread = _spread(of_arm, prior, arm)
+    n = n_compliances(arm)
+    lags, stds = of_arm.common[:, :n], prior.compliance_std[:n]
+    load = [_load_columns(arm, s, estimate, record) for record, s in enumerate(stretches)]
+    target = of_arm.target - of_arm.shared @ prior.solution - lags @ prior.compliance[:n]
+    target -= _friction_of_terms(arm, stretches, estimate, prior.friction_terms)
+    equations = replace(
+        of_arm,
+        shared=np.concatenate(load),
+        noise=np.zeros(N_PARAMETERS),
+        common=np.concatenate([lags, of_arm.shared @ spread], axis=1),
+        common_deviation=np.concatenate([stds, np.ones(spread.shape[1])]),
+        target=target,
+    )
+    return equations, spread
+
+
+def _load_columns(arm: Arm, stretch: FilteredRecord, estimate: Estimate, record: int) -> FloatArray:
+    """Motor torques per standard parameter of a body on the last link, joint by joint."""
+    links = twisted_links(arm, stretch, estimate, record)
+    regressor = arm.base_regressor(*links)[:, :, -N_PARAMETERS:]
+    torques = arm.motors_of(np.swapaxes(regressor, 1, 2)).swapaxes(1, 2)
+    filtered = stretch.filtered(torques.reshape(len(torques), -1))
+    columns = filtered.reshape(-1, arm.n_joints, N_PARAMETERS)
+    return np.concatenate([columns[stretch.keep[:, i], i] for i in range(arm.n_joints)])
+
+
+def _friction_of_terms(
+    arm: Arm,
+    stretches: Sequence[FilteredRecord],
+    estimate: Estimate,
+    terms: Sequence[FrictionTerm],
+) -> FloatArray | float:
+    """Torques of the identified further terms of friction, (n_rows,)."""
+    further = [
+        FurtherTerm(term.effect, (term.joint or 1) - 1, term.shape)
+        for term in terms
+        if term.size.value is not None
+    ]
+    sizes = np.array([term.size.value for term in terms if term.size.value is not None])
+    if not further:
+        return 0.0
+    parts = []
+    for stretch in stretches:
+        torques = term_columns(further, arm, stretch, estimate) @ sizes
+        parts += [torques[stretch.keep[:, i], i] for i in range(arm.n_joints)]
+    return np.concatenate(parts)
+
+
+def _spread(equations: ls.Equations, prior: ArmPrior, arm: Arm) -> FloatArray:
+    """Root of the prior covariance of the arm's parameters, (n_parameters, k).
+
+    Friction may have changed since the identification. Parameters that are not determined have a
+    standard deviation far above that of their torques.
+    """
+    scale = np.sqrt(np.diag(prior.covariance))
+    unit = np.where(scale > 0.0, scale, 1.0)
+    sizes, directions = np.linalg.eigh(prior.covariance / np.outer(unit, unit))
+    identified = unit[:, None] * directions * np.sqrt(np.clip(sizes, 0.0, None))
+    stop = arm.n_body + FRICTION_COLUMNS * arm.n_joints
+    friction = np.zeros_like(prior.solution)
+    of_joints = np.abs(arm.joint_friction(prior.solution))
+    of_joints[:, 2] += of_joints[:, 1]  # the offset changes by a share of the Coulomb friction
+    friction[arm.n_body : stop] = _FRICTION_CHANGE * of_joints.ravel()
+    torque = np.sqrt(np.mean(equations.target**2))
+    size = np.sqrt(np.mean(equations.shared**2, axis=0))
+    unknown = np.where(prior.is_determined | (size == 0.0), 0.0, _UNKNOWN_STDS * torque)
+    unknown /= np.where(size > 0.0, size, 1.0)
+    columns = [identified, np.diag(friction), np.diag(unknown)]
+    spread = np.concatenate(columns, axis=1)
+    return np.asarray(spread[:, np.any(spread != 0.0, axis=0)])
+
+
+def prior_of(
+    arm: Arm,
+    values: dict[Key, tuple[float, float]],
+    labels: Sequence[str],
+    covariance: FloatArray,
+    bandwidth_hz: float,
+    friction_terms: tuple[FrictionTerm, ...],
+) -> ArmPrior:
+    """The prior from values and standard deviations of a result, and its joint covariance."""
+    columns = arm.rigid_columns
+    n = len(columns)
+    solution, stds, is_known = np.zeros(n), np.zeros(n), np.zeros(n, dtype=bool)
+    for k, column in enumerate(columns):
+        if column.key in values:
+            solution[k], stds[k] = values[column.key]
+            is_known[k] = True
+    at = {label: k for k, label in enumerate(labels)}
+    joint = [at.get(column.label, -1) for column in columns]
+    matrix = np.diag(stds**2)
+    inside = [k for k in range(n) if joint[k] >= 0]
+    rows = [joint[k] for k in inside]
+    matrix[np.ix_(inside, inside)] = covariance[np.ix_(rows, rows)]
+    compliance, compliance_std = np.zeros(arm.n_joints), np.zeros(arm.n_joints)
+    for i, own in enumerate(arm.joints):
+        stiffness = [
+            v for (name, j), v in values.items() if j == i + 1 and name == "gear_stiffness"
+        ]
+        if own.elastic and stiffness:
+            compliance[i] = 1.0 / stiffness[0][0]
+            compliance_std[i] = stiffness[0][1] * compliance[i] ** 2
+    return ArmPrior(
+        solution,
+        matrix,
+        is_known,
+        compliance,
+        compliance_std,
+        _motor_shares(arm, solution, values),
+        bandwidth_hz,
+        friction_terms,
+    )
+
+
+def _motor_shares(
+    arm: Arm, solution: FloatArray, values: dict[Key, tuple[float, float]]
+) -> FloatArray:
+    """Shares of the identified motor inertias in the base parameters that contain them."""
+    shares = np.full(arm.n_joints, MOTOR_SHARE)
+    for i, row in enumerate(arm.base.rows[:, len(arm.base.links) :].T):
+        groups = np.flatnonzero(row)
+        known = values.get((MOTOR_INERTIA, i + 1))
+        if len(groups) and known and solution[groups[0]]:
+            shares[i] = known[0] * row[groups[0]] / solution[groups[0]]
+    return shares
