@@ -82,7 +82,8 @@ def in_mujoco(
     `delay` [s] is that of the voltages after the encoder readings.
     """
     simulated = plant(arm, values)
-    model = _model(arm, values, simulated, with_frames="specific_force_x" in record)
+    with_frames = not {"specific_force_x", "gear_torque"}.isdisjoint(record)
+    model = _model(arm, values, simulated, with_frames=with_frames)
     data = mujoco.MjData(model)
     joints = range(1, arm.n_joints + 1)
     simulated.begin(model, data, drive)
@@ -93,10 +94,11 @@ def in_mujoco(
     commanded = np.array(drive.initial_voltage)
     sensor_data = np.empty((n, model.nsensordata))
     voltage = np.empty((n, arm.n_joints))
-    motors = [model.joint(f"motor_joint{i}").qposadr[0] for i in joints]
+    motors = [model.joint(_motor_joint(arm, i)).qposadr[0] for i in joints]
+    turns = np.array([1.0 if joint.elastic else 1.0 / joint.gear_ratio for joint in arm.joints])
     for k in range(n):
         if k % per_tick == 0:
-            following = servo.command(k // per_tick, data.qpos[motors])
+            following = servo.command(k // per_tick, turns * data.qpos[motors])
         if k % per_tick == late:
             commanded = following
         voltage[k] = commanded
@@ -110,6 +112,13 @@ def in_mujoco(
     def sensor(name: str, component: int) -> FloatArray:
         columns = [model.sensor(f"{name}{i}").adr[0] + component for i in joints]
         return np.asarray(sensor_data[:, columns])
+
+    def motor_angle() -> FloatArray:
+        return sensor("theta_m", 0) if arm.joints[0].elastic else turns * sensor("theta_l", 0)
+
+    def gear_torque() -> FloatArray:
+        axes = np.array([joint.axis for joint in arm.joints])
+        return np.asarray(sum(sensor("carried", k) * axes[:, k] for k in range(3)))
 
     def frames() -> dict[Quantity, FloatArray]:
         signals = _link_signals(sensor)
@@ -127,7 +136,8 @@ def in_mujoco(
     quantities: dict[Quantity, Callable[[], FloatArray]] = {
         "voltage": lambda: voltage,
         "link_angle": lambda: sensor("theta_l", 0),
-        "encoder": lambda: _quantise(sensor("theta_m", 0), arm.joints),
+        "encoder": lambda: _quantise(motor_angle(), arm.joints),
+        "gear_torque": gear_torque,
         "accelerometer": lambda: _filter(
             sensor("a", 1), 2, [j.accelerometer_hz for j in arm.joints]
         ),
@@ -155,13 +165,14 @@ def _link_signals(sensor: Callable[[str, int], FloatArray]) -> dict[Quantity, Fl
 
 
 def _with_frames(mjcf: str) -> str:
-    """The model with sensors of the motion of the links' frames."""
+    """The model with sensors of the motion of the links' frames, and of what joints carry."""
     root = ElementTree.fromstring(mjcf)
     sensors = root.find("sensor")
     kinds = {
         "accelerometer": "force",
         "gyro": "rate",
         "frameangacc": "turning",
+        "torque": "carried",
         **{f"frame{x}axis": f"axis_{x}" for x in "xyz"},
     }
     for body in root.iter("body"):
@@ -192,9 +203,14 @@ def _model(arm: Arm, values: Values, plant: Plant, *, with_frames: bool) -> Any:
     model = mujoco.MjModel.from_xml_string(_with_frames(text) if with_frames else text)
     model.opt.timestep = STEP
     for i in range(1, arm.n_joints + 1):
-        at = model.joint(f"motor_joint{i}").dofadr[0]
+        at = model.joint(_motor_joint(arm, i)).dofadr[0]
         model.dof_solref[at] = 2.0 * settling(values, i), 1.0
     return model
+
+
+def _motor_joint(arm: Arm, joint: int) -> str:
+    """Name of the joint that a motor turns: its own, or that of the link behind a rigid gear."""
+    return f"motor_joint{joint}" if arm.joints[joint - 1].elastic else f"joint{joint}"
 
 
 def settling(values: Values, joint: int) -> float:
@@ -206,7 +222,7 @@ def _hang(arm: Arm, values: Values, drive: Drive, data: Any) -> None:
     """Set links to standstill on their gears; under gravity, gears are linear."""
     motor = np.array(drive.motor_angle)
     link = arm.links_of(motor)
-    if arm.gravity:
+    if arm.gravity and arm.joints[0].elastic:
         base = arm.parameter_vector(values)[: len(arm.base_names)]
         stiffness = [values["gear_stiffness", i + 1] for i in range(arm.n_joints)]
         at_rest = np.zeros((1, arm.n_joints))
@@ -215,7 +231,8 @@ def _hang(arm: Arm, values: Values, drive: Drive, data: Any) -> None:
             link = arm.links_of(motor) - load / stiffness
     for i in range(arm.n_joints):
         data.joint(f"joint{i + 1}").qpos[0] = link[i]
-        data.joint(f"motor_joint{i + 1}").qpos[0] = motor[i]
+        if arm.joints[i].elastic:
+            data.joint(f"motor_joint{i + 1}").qpos[0] = motor[i]
 
 
 class _CurrentLoop:

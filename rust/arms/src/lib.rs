@@ -3,6 +3,8 @@
 //! Each program takes seconds to compile. Programs are in separate crates under
 //! `rust/programs`, which cargo compiles in parallel.
 
+pub mod load_stream;
+
 use strainwave_baseline as baseline;
 use strainwave_core::arm::{
     Arm, ChainJoint, MAX_CHAIN_JOINTS, OneLink, SerialChain, Transmission, TwoLink,

@@ -80,7 +80,7 @@ impl Arm {
     }
 
     #[getter]
-    fn n_joints(&self) -> usize {
+    pub fn n_joints(&self) -> usize {
         self.0.joints()
     }
 
@@ -337,6 +337,11 @@ impl Arm {
 }
 
 impl Arm {
+    /// The compiled arm.
+    pub fn core(&self) -> &dyn CompiledArm {
+        &*self.0
+    }
+
     fn check(&self, values: &[f64]) -> PyResult<()> {
         let (expected, got) = (self.0.parameter_names().len(), values.len());
         if got != expected {

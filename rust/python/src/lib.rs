@@ -4,6 +4,7 @@ mod arguments;
 mod arm;
 mod experiment;
 mod least_squares;
+mod load_stream;
 mod parameters;
 mod statespace;
 
@@ -14,6 +15,7 @@ use pyo3::prelude::*;
 fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<arm::Arm>()?;
     module.add_class::<experiment::Experiment>()?;
+    module.add_class::<load_stream::LoadStream>()?;
     statespace::register(module)?;
     least_squares::register(module)?;
     parameters::register(module)?;

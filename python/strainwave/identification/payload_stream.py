@@ -1,0 +1,233 @@
+"""Load on an identified arm from one sample at a time.
+
+Motor angles and torques pass causal low-passes in the core, both the same, so that acceleration
+needs no sensor and no delay has to be known. Blocks of time keep triangular factors of the
+equations in the friction of the joints and the load phi. The parameters of the bodies keep their
+identified values; with their errors, Cov = P, and the information N of the equations,
+
+    Cov phi = jackknife over blocks + N^-1 C P C' N^-1
+
+where C are the products of the equations with those of the arm. The friction of each joint is
+unknown, with the identified values as prior.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from strainwave import _core
+from strainwave.domain import BoolArray, FloatArray, FrictionTerm, RigidModel
+from strainwave.domain.arm.base_parameters import core_arm
+from strainwave.domain.results.distributions import student_quantile
+from strainwave.dynamics.arm import Arm
+from strainwave.dynamics.rigid_prediction import DELAY, TORSION, ZERO
+from strainwave.errors import InvalidInput, NotIdentifiable
+from strainwave.identification.payload import (
+    N_PARAMETERS,
+    UNKNOWN_STDS,
+    ArmPrior,
+    LoadFit,
+    friction_changes,
+    shift_of,
+)
+from strainwave.numerics.least_squares import MAX_STD_SHARE_OF_TORQUE
+from strainwave.numerics.linalg import singular_values
+
+DEFAULT_WINDOW = 10.0
+"""[s] of motion that the estimate uses: enough for all parameters, and old loads are forgotten."""
+
+_BLOCKS = 20  # of the window, as in the jackknife of records
+_MIN_BLOCKS = 4  # of an estimate: fewer give no useful interval
+_ROWS_PER_CUTOFF = 4.0  # rows per period of the bandwidth, as for records
+# The equations are nonlinear in the motion, which therefore keeps a higher bandwidth, as in records.
+_MOTION_BANDWIDTHS = 8.0
+_MAX_POLE_SHARE = 0.1  # of the sampling rate: largest frequency of the low-pass of the motion
+# of the identified motion's rms velocity, below which a joint may stick
+_SLOW_SHARE = 0.02
+_MIN_ERROR_SHARE = 1e-3  # smallest error of the torques of a joint over their rms value
+_MIN_DIRECTION = 0.1  # component of a direction from which a parameter belongs to it
+_MIN_SINGULAR_VALUE = 1e-8  # of a direction that the equations determine beyond rounding errors
+
+
+@dataclass(frozen=True, slots=True)
+class _Solution:
+    """Least squares in friction and load."""
+
+    value: FloatArray  # (n,)
+    inverse: FloatArray  # (n, n) N^-1 within the resolved directions
+    is_resolved: BoolArray  # (n,)
+
+
+class LoadStream:
+    """Estimates the load of an arm from samples of motor angles and torques.
+
+    `sample_time` [s] is the period of the samples, `window` [s] the time of motion that counts.
+    Samples in which a joint may stick do not count for it. Raises InvalidInput if the samples are
+    too slow for the bandwidth of the arm's model, or if its torques have a delay.
+    """
+
+    def __init__(
+        self,
+        arm: Arm,
+        prior: ArmPrior,
+        model: RigidModel,
+        *,
+        sample_time: float,
+        window: float = DEFAULT_WINDOW,
+    ) -> None:
+        per_row = int(1.0 / (_ROWS_PER_CUTOFF * prior.bandwidth_hz * sample_time))
+        if per_row < 1:
+            raise InvalidInput(
+                f"a sample every {sample_time:g} s does not resolve the {prior.bandwidth_hz:.3g} Hz "
+                "of the arm's model",
+                where="sample_time",
+                remedy=f"sample every {0.25 / prior.bandwidth_hz:.2g} s or faster",
+            )
+        delayed = [str(t.joint) for t in prior.friction_terms if t.effect == DELAY and t.size.value]
+        if delayed:
+            raise InvalidInput(
+                f"the torque of joint {', '.join(delayed)} has a delay, which the stream does not "
+                "compensate",
+                where="the result: friction_terms",
+                remedy="estimate the load from a log with `payload`",
+            )
+        self.arm, self.prior = arm, prior
+        n = arm.n_body
+        body = np.vstack(
+            [
+                arm.links_of_rigid(prior.motor_shares),
+                arm.motors_of_rigid(prior.motor_shares),
+                np.zeros((arm.n_shared, n)),
+            ]
+        )
+        self._map = np.zeros((len(body), len(prior.solution)))
+        self._map[:, :n] = body
+        if arm.n_shared:
+            self._map[-arm.n_shared :, -arm.n_shared :] = np.eye(arm.n_shared)
+        raw = self._map @ prior.solution
+        n_links, rms = len(arm.base_names), _torques_of_model(arm, prior, model)
+        error_shares = [model.torque_errors.get(i + 1, 0.0) for i in range(arm.n_joints)]
+        errors = np.maximum(error_shares, _MIN_ERROR_SHARE) * rms
+        speed = np.sqrt(np.mean(model.motion[1] ** 2, axis=0))
+        period = _ROWS_PER_CUTOFF * prior.bandwidth_hz * per_row * sample_time
+        rows_per_block = max(1, round(window * _ROWS_PER_CUTOFF * prior.bandwidth_hz / _BLOCKS))
+        self._friction_stds = _friction_stds(arm, prior, rms, speed)
+        voltage = [joint.torque_per_volt is not None for joint in arm.joints]
+        decay = [
+            float(np.exp(-2.0 * np.pi * joint.current_loop_hz * sample_time))
+            if joint.current_loop_hz and is_voltage
+            else 0.0
+            for joint, is_voltage in zip(arm.joints, voltage, strict=True)
+        ]
+        corrections = {ZERO: np.zeros(arm.n_joints), TORSION: prior.compliance.copy()}
+        for term in prior.friction_terms:
+            if term.effect in corrections and term.joint is not None:
+                corrections[term.effect][term.joint - 1] += term.size.value or 0.0
+        self._core = _core.LoadStream(
+            arm.core,
+            chain=None
+            if len(arm.base_names) == N_PARAMETERS * arm.n_joints
+            else core_arm(replace(arm, kind="serial"), ["rigid"] * arm.n_joints),
+            sample_time=sample_time,
+            bandwidth_hz=prior.bandwidth_hz,
+            motion_poles_hz=min(
+                _MOTION_BANDWIDTHS * prior.bandwidth_hz, _MAX_POLE_SHARE / sample_time
+            ),
+            samples_per_row=per_row,
+            rows_per_block=max(1, round(rows_per_block / period)),
+            blocks=_BLOCKS,
+            transmission=np.array(arm.transmission),
+            inverse=np.linalg.inv(arm.transmission),
+            links=raw[:n_links].tolist(),
+            motor_inertia=raw[n_links : n_links + arm.n_joints].tolist(),
+            friction=np.ascontiguousarray(arm.joint_friction(prior.solution)),
+            shared=list(zip(arm.shared_links, raw[n_links + arm.n_joints :].tolist(), strict=True)),
+            terms=_laws(prior.friction_terms),
+            compliance=corrections[TORSION].tolist(),
+            zero=arm.motor_accelerations(corrections[ZERO]).tolist(),
+            per_command=arm.torque_per_volt.tolist(),
+            decay=decay,
+            slow=np.where(speed > 0.0, _SLOW_SHARE * speed, np.inf).tolist(),
+            weight=(1.0 / errors).tolist(),
+        )
+
+    def update(self, angle: ArrayLike, torque: ArrayLike) -> None:
+        """Add one sample.
+
+        `angle` (n_joints,) [rad] are the motor angles and `torque` (n_joints,) the motor torques
+        [N m], or voltages [V], of the study's channels, or the torques of joint sensors if the arm
+        was identified from them. Raises ValueError if there is not one of each per joint.
+        """
+        torque = np.asarray(torque, dtype=np.float64)
+        if self.arm.joints[0].torque_at_link:
+            torque = self.arm.motors_of(torque)
+        self._core.update(np.asarray(angle, dtype=np.float64), torque)
+
+    def reset(self) -> None:
+        """Forget all samples, for example after a gap or a change of the load."""
+        self._core.reset()
+
+    def fit(self) -> LoadFit:
+        """The load of the window. Raises NotIdentifiable if the motion was too short."""
+        factors, products = self._core.equations()
+        if len(factors) < _MIN_BLOCKS:
+            raise NotIdentifiable(
+                f"{len(factors)} of {_BLOCKS} blocks of the window have samples in motion; an "
+                f"estimate needs {_MIN_BLOCKS}"
+            )
+        fit, middle = self._fit(factors, products), len(factors) // 2
+        if middle < _MIN_BLOCKS:
+            return fit
+        halves = slice(middle), slice(middle, None)
+        first, second = (self._fit(factors[part], products[part]) for part in halves)
+        return replace(fit, shift=shift_of(first, second))
+
+    def _fit(self, factors: FloatArray, products: FloatArray) -> LoadFit:
+        """Estimate and covariance of some blocks."""
+        n, stds = factors.shape[2] - 1, self._friction_stds
+        friction = self.arm.joint_friction(self.prior.solution).ravel()
+        scale = np.linalg.norm(factors[:, :, :n], axis=(0, 1))
+        scale[: len(stds)] = np.hypot(scale[: len(stds)], 1.0 / stds)
+        scale[scale == 0.0] = 1.0
+        prior_rows = np.zeros((len(stds), n + 1))
+        prior_rows[:, : len(stds)] = np.diag(1.0 / stds)
+        prior_rows[:, -1] = friction / stds
+        scaled = np.append(1.0 / scale, 1.0)
+        blocks, prior_rows = factors * scaled, prior_rows * scaled
+        every = _solve(np.concatenate([*blocks, prior_rows]), len(stds))
+        count, without = len(blocks), []
+        for b in range(count):
+            others = [*blocks[:b], *blocks[b + 1 :], prior_rows]
+            without.append(_solve(np.concatenate(others), len(stds)).value - every.value)
+        shifts = np.array(without)
+        covariance = (count - 1) / count * shifts.T @ shifts
+        covariance += self._covariance_of_arm(every.inverse, products.sum(axis=0), scale)
+        value, covariance = every.value / scale, covariance / np.outer(scale, scale)
+        at = slice(len(stds), n)
+        torque = np.linalg.norm(factors[:, :, -1]) + np.linalg.norm(factors[:, :, :n] @ value)
+        share = np.sqrt(np.diag(covariance)) * scale / torque
+        return LoadFit(
+            value=value[at],
+            covariance=covariance[at, at],
+            is_determined=(every.is_resolved & (share < MAX_STD_SHARE_OF_TORQUE))[at],
+            half_width=student_quantile(0.975, count - 1),
+            shift=0.0,
+        )
+
+    def _covariance_of_arm(
+        self, inverse: FloatArray, products: FloatArray, scale: FloatArray
+    ) -> FloatArray:
+        """Covariance of the scaled estimate due to the identified parameters of the arm."""
+        arm, prior, stds = self.arm, self.prior, self._friction_stds
+        effect = -(products / scale[:, None]) @ self._map
+        at = slice(arm.n_body, arm.n_body + len(stds))
+        weights = np.diag(1.0 / stds**2) / scale[: len(stds)]
+        effect[: len(stds), at] += weights
+        of_parameters = prior.covariance + np.diag(self._unknown_variances)
+        changes = np.zeros((len(scale), len(stds)))
+        changes[: len(stds)] = weights * friction_changes(arm, prior.solution)
+        total = effect @ of_parameters @ effect.T + changes @ changes.T
+        return np.asarray(inverse @ total @ inverse)
