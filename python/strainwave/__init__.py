@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from strainwave.domain import Options as Options
     from strainwave.domain import Parameter as Parameter
     from strainwave.domain import Payload as Payload
+    from strainwave.domain import PayloadEstimate as PayloadEstimate
     from strainwave.domain import PhysicalOptions as PhysicalOptions
     from strainwave.domain import Prbs as Prbs
     from strainwave.domain import RigidOptions as RigidOptions
@@ -77,8 +78,8 @@ _NAMES_OF_MODULE = {
     "strainwave.fleet.campaign.store": "read_parameters read_runs",
     "strainwave.domain": (
         "ArmDescription Channel Experiment FrequencyOptions Joint LinearOptions LinkOptions "
-        "Options Parameter Payload PhysicalOptions Prbs RigidOptions Servo Stage Study "
-        "WholeArmOptions"
+        "Options Parameter Payload PayloadEstimate PhysicalOptions Prbs RigidOptions Servo Stage "
+        "Study WholeArmOptions"
     ),
     "strainwave.domain.steps": "Detrend LowPass Merge Resample",
     "strainwave.domain.study": "ProgressEvent",

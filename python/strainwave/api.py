@@ -27,6 +27,7 @@ from strainwave.domain import (
     Log,
     Options,
     Parameter,
+    PayloadEstimate,
     Prediction,
     PublishedWarning,
     RigidModel,
@@ -649,6 +650,34 @@ class Result:
         options = options or ServoOptions()
         return tune_document(self._document, self._arm(), options, folder, progress)
 
+    def payload(
+        self,
+        study: Study | Path | str,
+        *,
+        data: Data | None = None,
+        progress: Callable[[str], None] = lambda _: None,
+    ) -> PayloadEstimate:
+        """Estimate the load that the records of a study of this arm carry.
+
+        The load has mass, centre of mass and inertia with intervals that contain the errors of the
+        arm; None: not determined. The motion records are fitted, all records if there are none. If
+        they state their payload, the record has `torque_scale`, the factor by which the stated
+        torques are wrong. `data` is that of `identify`. Raises `InvalidInput` if the study is not
+        of this arm, or a log is at fault, and `NotIdentifiable` if the arm or the load is not
+        determined.
+        """
+        from strainwave.pipeline.payload import estimate_payload
+
+        identified = None if self.run is None else self.run.study
+        return estimate_payload(
+            self._document,
+            self.source,
+            _study_of(study, data or {}, of_load=True),
+            identified=identified,
+            data=data,
+            progress=progress,
+        )
+
     def plot(
         self,
         kind: FigureKind = "parameters",
@@ -719,13 +748,14 @@ class Result:
         return self.run
 
 
-def _study_of(study: Study | Path | str, data: Data) -> Study:
+def _study_of(study: Study | Path | str, data: Data, *, of_load: bool = False) -> Study:
     """The checked study; experiments without data need their files."""
     if isinstance(study, Study):
-        return check_study(study, list(data))
+        return check_study(study, list(data), of_load=of_load)
     if not data:  # messages name the line of the study file
-        return _read_study(study)
-    return check_study(_read_study(study, logs_exist=False), list(data))
+        return _read_study(study, of_load=of_load)
+    read = _read_study(study, logs_exist=False, of_load=of_load)
+    return check_study(read, list(data), of_load=of_load)
 
 
 def _run_in_thread(

@@ -279,6 +279,25 @@ def tune(
         print_design(design, out / PAGE)
 
 
+@app.command(epilog="Example: strainwave payload results payload.toml --out load")
+def payload(result: ResultFile, study: StudyFile, out: Out, quiet: Quiet = False) -> None:
+    """Estimate the load that records of an identified arm carry. Writes DIR/payload.json."""
+    from strainwave.export.payload import FILE_NAME, payload_document, payload_exports
+    from strainwave.io.atomic_files import write_whole
+    from strainwave.io.results import read_document, result_path, to_json
+    from strainwave.io.study import read_study
+    from strainwave.pipeline.payload import estimate_payload
+    from strainwave.report.terminal import print_payload
+
+    with _progress(quiet) as report:
+        path = result_path(result)
+        of_load = read_study(study, of_load=True)
+        estimate = estimate_payload(read_document(path), path, of_load, progress=report)
+        write_whole(out, {FILE_NAME: to_json(payload_document(estimate))})
+    if not quiet:
+        print_payload(estimate, payload_exports(estimate), out / FILE_NAME)
+
+
 @app.command(
     epilog="Example: strainwave excite study.toml --parameters arm.json --out designed "
     "--limit-angle 1.2 --limit-velocity 180"

@@ -76,6 +76,9 @@ from strainwave.domain.results.linear_models import ModelCheck as ModelCheck
 from strainwave.domain.results.linear_models import Modes as Modes
 from strainwave.domain.results.linear_models import OrderSelection as OrderSelection
 from strainwave.domain.results.linear_models import StateSpace as StateSpace
+from strainwave.domain.results.payload import LoadQuantities as LoadQuantities
+from strainwave.domain.results.payload import PayloadEstimate as PayloadEstimate
+from strainwave.domain.results.payload import Quantity as Quantity
 from strainwave.domain.results.signals import Activity as Activity
 from strainwave.domain.results.signals import Delay as Delay
 from strainwave.domain.results.signals import Fusion as Fusion

@@ -1,7 +1,7 @@
 """Payload step: the ten standard parameters of a load on the last link of an identified arm.
 
 The load adds Y_n phi to the torques of the arm, with its standard parameters phi in the last link's
-frame and the ten columns Y_n of that link:
+frame and the ten columns Y_n of that link as part of a general chain:
 
     tau = Y(q, dq, ddq) pi + friction + Y_n phi
 
@@ -12,14 +12,14 @@ of the load contain the errors of the arm.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import partial
 
 import numpy as np
 
 from strainwave.domain import BoolArray, FloatArray, FrictionTerm, Signals
-from strainwave.domain.arm.base_parameters import MOTOR_INERTIA
+from strainwave.domain.arm.base_parameters import MOTOR_INERTIA, core_arm
 from strainwave.domain.arm.combinations import FRICTION_COLUMNS
 from strainwave.domain.arm.consistent_links import (
     INERTIA_ENTRIES,
@@ -27,8 +27,9 @@ from strainwave.domain.arm.consistent_links import (
     standard_parameters,
 )
 from strainwave.domain.arm.description import LinkPrior
+from strainwave.domain.arm.gear_laws import GearLaw
 from strainwave.domain.arm.kinds.base import MOTOR_SHARE
-from strainwave.domain.keys import Key
+from strainwave.domain.keys import JointNumber, Key
 from strainwave.domain.results.distributions import chi_square_limit, student_quantile
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.rigid_prediction import corrected_signals
@@ -70,7 +71,7 @@ class ArmPrior:
     covariance: FloatArray  # (n_parameters, n_parameters)
     is_determined: BoolArray  # (n_parameters,)
     compliance: FloatArray  # (n_joints,) [rad/(N m), m/N] of the gears, link side
-    compliance_std: FloatArray  # (n_joints,)
+    compliance_std: FloatArray  # (n_joints,); infinite: only the prior of the rigid step is known
     motor_shares: FloatArray  # (n_joints,) of inertias that rigid motion does not separate
     bandwidth_hz: float  # of the rigid model
     friction_terms: tuple[FrictionTerm, ...] = ()
@@ -84,29 +85,46 @@ class LoadFit:
     covariance: FloatArray  # (10, 10)
     is_determined: BoolArray  # (10,)
     half_width: float  # of 95 % intervals, in standard deviations
-    shift: float  # squared distance of the halves of the records over its limit; above 1: it moved
+    shift: float  # squared distance of parts of the records over its limit; above 1: it moved
+
+    @property
+    def stds(self) -> FloatArray:
+        """Standard deviations, (10,)."""
+        return np.sqrt(np.clip(np.diag(self.covariance), 0.0, None))
 
     @property
     def consistent(self) -> LinkPrior:
-        """Standard parameters of a body that agree with the estimate within its errors."""
-        value, covariance = self.value, self.covariance
-        mass = max(float(value[0]), 3.0 * float(np.sqrt(covariance[0, 0])))
-        guess = standard_parameters(mass, value[1:4] / mass, mass * _GUESSED_RADIUS**2 * np.eye(3))
+        """Standard parameters of a body that agree with the estimate within its errors.
+
+        Parameters that are not determined are those of a compact body.
+        """
+        known = np.flatnonzero(self.is_determined)
+        value, covariance = self.value[known], self.covariance[np.ix_(known, known)]
+        mass = max(float(self.value[0]), 3.0 * float(self.stds[0]))
+        if not self.is_determined[0]:
+            mass = 1.0
+        first = np.where(self.is_determined[1:4], self.value[1:4], 0.0)
+        guess = standard_parameters(mass, first / mass, mass * _GUESSED_RADIUS**2 * np.eye(3))
+        if not len(known):
+            return guess
         scale = np.sqrt(np.diag(covariance))
         sizes, directions = np.linalg.eigh(covariance / np.outer(scale, scale))
         kept = sizes > _MIN_WEIGHT * sizes[-1]
-        rows = (directions[:, kept] / np.sqrt(sizes[kept])).T / scale
-        return tuple(consistent_links([guess], rows, rows @ value).tolist())
+        rows = np.zeros((int(kept.sum()), N_PARAMETERS))
+        rows[:, known] = (directions[:, kept] / np.sqrt(sizes[kept])).T / scale
+        return tuple(consistent_links([guess], rows, rows[:, known] @ value).tolist())
 
     @property
     def about_centre(self) -> tuple[FloatArray, FloatArray]:
         """Mass, centre of mass, and inertia xx, xy, xz, yy, yz, zz about it; their covariance."""
-        changes = np.stack([_about_centre(self.value, unit)[1] for unit in np.eye(N_PARAMETERS)])
-        values, _ = _about_centre(self.value, np.zeros(N_PARAMETERS))
+        changes = np.stack(
+            [central_parameters(self.value, unit)[1] for unit in np.eye(N_PARAMETERS)]
+        )
+        values, _ = central_parameters(self.value, np.zeros(N_PARAMETERS))
         return values, changes.T @ self.covariance @ changes
 
 
-def _about_centre(value: FloatArray, change: FloatArray) -> tuple[FloatArray, FloatArray]:
+def central_parameters(value: FloatArray, change: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Mass, centre and inertia about it for standard parameters; their derivative along a change.
 
     I_c = I - (h.h E - h h')/m with the inertia I about the origin and the first moments h.
@@ -144,21 +162,36 @@ def fit_load(signals: Sequence[Signals], arm: Arm, prior: ArmPrior) -> LoadFit:
         for corrected in (corrected_signals(s, arm, prior.friction_terms) for s in signals)
     ]
 
-    def fit(records: Sequence[Motion], ratio: float = 1.0) -> LoadFit:
-        return _fit(prepare_all(arm, records, ratio * prior.bandwidth_hz), arm, prior)
+    def fit(records: Sequence[Motion], ratio: float, start: FloatArray | None) -> LoadFit:
+        return _fit(prepare_all(arm, records, ratio * prior.bandwidth_hz), arm, prior, start)
 
-    halves = [[_half(s, part) for s, _ in records] for part in (0, 1)]
-    best, *others = run_parallel(
-        [
-            partial(fit, records),
-            *(partial(fit, records, ratio) for ratio in _BANDWIDTH_RATIOS),
-            *(partial(fit, half) for half in halves),
-        ]
-    )
-    bandwidths, parts = others[: len(_BANDWIDTH_RATIOS)], others[len(_BANDWIDTH_RATIOS) :]
-    excess = excess_variance(best.value, [(o.value, np.diag(o.covariance)) for o in bandwidths])
+    best = fit(records, 1.0, None)
+    middle = len(records) // 2
+    pairs = [[[_half(s, part) for s, _ in records] for part in (0, 1)]]
+    pairs += [[records[:middle], records[middle:]]] if middle else []
+    jobs: list[Callable[[], LoadFit | None]]
+    jobs = [partial(fit, records, ratio, best.value) for ratio in _BANDWIDTH_RATIOS]
+    jobs += [partial(_fit_if_it_moves, fit, part, best.value) for pair in pairs for part in pair]
+    others = run_parallel(jobs)
+    n = len(_BANDWIDTH_RATIOS)
+    spread = [(each.value, np.diag(each.covariance)) for each in others[:n] if each]
+    excess = excess_variance(best.value, spread)
     covariance = best.covariance + np.diag(np.where(best.is_determined, excess, 0.0))
-    return replace(best, covariance=covariance, shift=_shift(*parts))
+    parts = [(a, b) for a, b in zip(others[n::2], others[n + 1 :: 2], strict=True) if a and b]
+    shift = max((_shift(*each) for each in parts), default=0.0)
+    return replace(best, covariance=covariance, shift=shift)
+
+
+def _fit_if_it_moves(
+    fit: Callable[[Sequence[Motion], float, FloatArray], LoadFit],
+    records: Sequence[Motion],
+    start: FloatArray,
+) -> LoadFit | None:
+    """The fit of a part of the records; None if nothing moves in it."""
+    try:
+        return fit(records, 1.0, start)
+    except NotIdentifiable:
+        return None
 
 
 def _half(signals: Signals, part: int) -> Motion:
@@ -177,23 +210,31 @@ def _half(signals: Signals, part: int) -> Motion:
 
 def _shift(first: LoadFit, second: LoadFit) -> float:
     """Squared distance of mass and first moments of two fits over its limit."""
-    at = slice(0, 4)
+    at = np.flatnonzero((first.is_determined & second.is_determined)[:4])
+    if not len(at):
+        return 0.0
     change = (second.value - first.value)[at]
-    covariance = (first.covariance + second.covariance)[at, at]
+    covariance = (first.covariance + second.covariance)[np.ix_(at, at)]
     distance = float(change @ np.linalg.solve(covariance, change))
-    return distance / chi_square_limit(_MOVED_LEVEL, 4)
+    return distance / chi_square_limit(_MOVED_LEVEL, len(at))
 
 
-def _fit(stretches: tuple[FilteredRecord, ...], arm: Arm, prior: ArmPrior) -> LoadFit:
-    """Iterate the load, the changes of the arm and the weights to convergence at one bandwidth."""
+def _fit(
+    stretches: tuple[FilteredRecord, ...], arm: Arm, prior: ArmPrior, start: FloatArray | None
+) -> LoadFit:
+    """Iterate the load, the changes of the arm and the weights to convergence at one bandwidth.
+
+    `start` (10,) is the load of a similar fit, from which fewer iterations converge.
+    """
     shares = replace(MotorShares.usual(arm), inertia=prior.motor_shares)
     no_friction = tuple(
         np.zeros_like(s.motion[0] if s.stiction_shapes else s.torque[:0]) for s in stretches
     )
     estimate = Estimate(prior.solution, prior.compliance, no_friction, shares)
-    value, root = np.zeros(N_PARAMETERS), np.zeros(0)
+    value, root = np.zeros(N_PARAMETERS) if start is None else start, np.zeros(0)
     for iteration in range(_MAX_ITERATIONS):
-        equations, spread = _equations(arm, stretches, estimate, prior)
+        system = _equations(arm, stretches, estimate, prior, value)
+        equations = system.equations
         if not len(equations.target):
             raise NotIdentifiable("every sample is at an edge or in saturation; record for longer")
         if not len(root):
@@ -201,36 +242,51 @@ def _fit(stretches: tuple[FilteredRecord, ...], arm: Arm, prior: ArmPrior) -> Lo
         factor = ls.factorise(equations, root)
         change, value = factor.value - value, factor.value
         known = factor.deviation > 0.0
-        if iteration > 1 and np.all(np.abs(change[known]) <= _TOLERANCE * factor.deviation[known]):
+        has_settled = iteration > (1 if start is None else 0)
+        if has_settled and np.all(np.abs(change[known]) <= _TOLERANCE * factor.deviation[known]):
             break
         free = estimate_of(arm, stretches, equations, factor, shares).stiction_torque
-        shift = spread @ factor.common[n_compliances(arm) :]
+        shift = system.spread @ factor.common[n_compliances(arm) :]
         estimate = replace(estimate, solution=prior.solution + shift, stiction_torque=free)
         root = ls.root_weights(equations, factor)
     covariance, _ = ls.jackknife(equations, factor)
+    # a load of nothing has no torque: the limit is a share of the torque of arm and load
+    whole = replace(equations, target=system.torque)
     return LoadFit(
         value=value,
         covariance=covariance,
-        is_determined=ls.determined(equations, factor, covariance),
+        is_determined=ls.determined(whole, factor, covariance) & (factor.deviation > 0.0),
         half_width=student_quantile(0.975, max(1, len(np.unique(equations.block)) - 1)),
         shift=0.0,
     )
 
 
-def _equations(
-    arm: Arm, stretches: Sequence[FilteredRecord], estimate: Estimate, prior: ArmPrior
-) -> tuple[ls.Equations, FloatArray]:
-    """Equations of the load; the arm's errors are common nuisance parameters.
+@dataclass(frozen=True, slots=True)
+class _System:
+    """Equations of the load; the arm's errors are common nuisance parameters."""
 
-    Second, the parameters per nuisance parameter of unit standard deviation, (n_parameters, k).
-    """
+    equations: ls.Equations
+    spread: FloatArray  # (n_parameters, k) parameters per nuisance parameter of unit deviation
+    torque: FloatArray  # (n_rows,) of arm and load
+
+
+def _equations(
+    arm: Arm,
+    stretches: Sequence[FilteredRecord],
+    estimate: Estimate,
+    prior: ArmPrior,
+    value: FloatArray,
+) -> _System:
     of_arm = assemble(arm, stretches, estimate)
     spread = _spread(of_arm, prior, arm)
     n = n_compliances(arm)
     lags, stds = of_arm.common[:, :n], prior.compliance_std[:n]
-    load = [_load_columns(arm, s, estimate, record) for record, s in enumerate(stretches)]
+    stds = np.where(np.isfinite(stds), stds, of_arm.common_deviation[:n])
+    torques = [_load_torques(arm, s, estimate, record) for record, s in enumerate(stretches)]
+    load = [_rows(s.filtered(x), s) for s, x in zip(stretches, torques, strict=True)]
     target = of_arm.target - of_arm.shared @ prior.solution - lags @ prior.compliance[:n]
-    target -= _friction_of_terms(arm, stretches, estimate, prior.friction_terms)
+    carried = [x @ value for x in torques]
+    target -= _friction_of_terms(arm, stretches, estimate, prior.friction_terms, carried)
     equations = replace(
         of_arm,
         shared=np.concatenate(load),
@@ -239,17 +295,23 @@ def _equations(
         common_deviation=np.concatenate([stds, np.ones(spread.shape[1])]),
         target=target,
     )
-    return equations, spread
+    return _System(equations, spread, of_arm.target)
 
 
-def _load_columns(arm: Arm, stretch: FilteredRecord, estimate: Estimate, record: int) -> FloatArray:
-    """Motor torques per standard parameter of a body on the last link, joint by joint."""
+def _load_torques(arm: Arm, stretch: FilteredRecord, estimate: Estimate, record: int) -> FloatArray:
+    """Motor torques per standard parameter of a body on the last link, (n_motion, n_joints, 10)."""
     links = twisted_links(arm, stretch, estimate, record)
-    regressor = arm.base_regressor(*links)[:, :, -N_PARAMETERS:]
-    torques = arm.motors_of(np.swapaxes(regressor, 1, 2)).swapaxes(1, 2)
-    filtered = stretch.filtered(torques.reshape(len(torques), -1))
-    columns = filtered.reshape(-1, arm.n_joints, N_PARAMETERS)
-    return np.concatenate([columns[stretch.keep[:, i], i] for i in range(arm.n_joints)])
+    # programs of planar arms have fewer parameters
+    chain = core_arm(replace(arm, kind="serial"), ["rigid"] * arm.n_joints)
+    motion = (np.ascontiguousarray(x) for x in links)
+    regressor = chain.base_regressor(*motion)[:, :, -N_PARAMETERS:]
+    return np.asarray(arm.motors_of(np.swapaxes(regressor, 1, 2)).swapaxes(1, 2))
+
+
+def _rows(filtered: FloatArray, stretch: FilteredRecord) -> FloatArray:
+    """Values (n_rows, n_joints, ...) of one record in the order of the equations."""
+    n_joints = stretch.keep.shape[1]
+    return np.concatenate([filtered[stretch.keep[:, i], i] for i in range(n_joints)])
 
 
 def _friction_of_terms(
@@ -257,8 +319,12 @@ def _friction_of_terms(
     stretches: Sequence[FilteredRecord],
     estimate: Estimate,
     terms: Sequence[FrictionTerm],
+    carried: Sequence[FloatArray],
 ) -> FloatArray | float:
-    """Torques of the identified further terms of friction, (n_rows,)."""
+    """Torques of the identified further terms of friction, (n_rows,).
+
+    `carried` has the torques of the load, (n_motion, n_joints), which friction grows with.
+    """
     further = [
         FurtherTerm(term.effect, (term.joint or 1) - 1, term.shape)
         for term in terms
@@ -267,11 +333,12 @@ def _friction_of_terms(
     sizes = np.array([term.size.value for term in terms if term.size.value is not None])
     if not further:
         return 0.0
-    parts = []
-    for stretch in stretches:
-        torques = term_columns(further, arm, stretch, estimate) @ sizes
-        parts += [torques[stretch.keep[:, i], i] for i in range(arm.n_joints)]
-    return np.concatenate(parts)
+    return np.concatenate(
+        [
+            _rows(term_columns(further, arm, stretch, estimate, torques) @ sizes, stretch)
+            for stretch, torques in zip(stretches, carried, strict=True)
+        ]
+    )
 
 
 def _spread(equations: ls.Equations, prior: ArmPrior, arm: Arm) -> FloatArray:
@@ -300,7 +367,7 @@ def _spread(equations: ls.Equations, prior: ArmPrior, arm: Arm) -> FloatArray:
 
 def prior_of(
     arm: Arm,
-    values: dict[Key, tuple[float, float]],
+    values: Mapping[Key, tuple[float, float]],
     labels: Sequence[str],
     covariance: FloatArray,
     bandwidth_hz: float,
@@ -321,13 +388,9 @@ def prior_of(
     rows = [joint[k] for k in inside]
     matrix[np.ix_(inside, inside)] = covariance[np.ix_(rows, rows)]
     compliance, compliance_std = np.zeros(arm.n_joints), np.zeros(arm.n_joints)
-    for i, own in enumerate(arm.joints):
-        stiffness = [
-            v for (name, j), v in values.items() if j == i + 1 and name == "gear_stiffness"
-        ]
-        if own.elastic and stiffness:
-            compliance[i] = 1.0 / stiffness[0][0]
-            compliance_std[i] = stiffness[0][1] * compliance[i] ** 2
+    for i, joint_of_arm in enumerate(arm.joints):
+        if joint_of_arm.elastic:
+            compliance[i], compliance_std[i] = _compliance(joint_of_arm.law, i + 1, values)
     return ArmPrior(
         solution,
         matrix,
@@ -340,8 +403,25 @@ def prior_of(
     )
 
 
+def _compliance(
+    law: GearLaw, joint: JointNumber, values: Mapping[Key, tuple[float, float]]
+) -> tuple[float, float]:
+    """Compliance of a gear and its standard deviation, which contains the range of a curve.
+
+    Infinite if the result has no stiffness.
+    """
+    stiffness = law.of_joint({key: value for key, (value, _) in values.items()}, joint)
+    if any(parameter.name not in stiffness for parameter in law.parameters):
+        return 0.0, np.inf
+    low, high = law.stiffness_range(stiffness)
+    slopes = [values[p.name, joint] for p in law.parameters if p.is_slope]
+    relative = max(std / value for value, std in slopes)
+    compliance, range_of_curve = 0.5 * (1.0 / low + 1.0 / high), 0.5 * (1.0 / low - 1.0 / high)
+    return compliance, float(np.hypot(relative * compliance, range_of_curve))
+
+
 def _motor_shares(
-    arm: Arm, solution: FloatArray, values: dict[Key, tuple[float, float]]
+    arm: Arm, solution: FloatArray, values: Mapping[Key, tuple[float, float]]
 ) -> FloatArray:
     """Shares of the identified motor inertias in the base parameters that contain them."""
     shares = np.full(arm.n_joints, MOTOR_SHARE)

@@ -68,6 +68,13 @@ def read_urdf(path: Path, held: Collection[str] = ()) -> tuple[UrdfJoint, ...]:
     return _LinkWalk(path, _root(path), held).chain()
 
 
+def child_link(path: Path, joint: str) -> str | None:
+    """Name of the link that a joint of a URDF file carries; None without such a joint."""
+    elements = (each for each in _root(path).iter("joint") if each.get("name") == joint)
+    children = (each.find("child") for each in elements)
+    return next((child.get("link") for child in children if child is not None), None)
+
+
 def patch_urdf(
     path: Path,
     held: Collection[str],

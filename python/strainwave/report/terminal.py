@@ -117,6 +117,60 @@ def print_check(check: domain.InputCheck, *, console: Console | None = None) -> 
     console.print(f"{check.seconds:.1f} s")
 
 
+_TARGETS = {
+    "ur_set_target_payload": "UR",
+    "franka_set_load": "Franka",
+    "kuka_load": "KUKA",
+    "ros_ur_set_payload": "ROS, ur_msgs/srv/SetPayload",
+    "study": "study file, in [[experiment]]",
+    "urdf": "URDF",
+}
+
+
+def print_payload(
+    estimate: domain.PayloadEstimate,
+    exports: Mapping[str, str],
+    path: Path,
+    *,
+    console: Console | None = None,
+) -> None:
+    """Print a load with its intervals, the warnings, and the texts for controllers."""
+    console = console or Console(highlight=False)
+    found, inertias = estimate.quantities, ("xx", "xy", "xz", "yy", "yz", "zz")
+    members = [("mass", found.mass)]
+    members += [(f"centre {a}", q) for a, q in zip("xyz", found.xyz, strict=True)]
+    if not any(found.xyz):
+        pairs = zip("xyz", found.first_moments, strict=True)
+        members += [(f"first moment {a}", q) for a, q in pairs if q]
+    pairs = zip(inertias, found.inertia_about_centre, strict=True)
+    members += [(f"inertia {a} about the centre", q) for a, q in pairs]
+    if estimate.torque_scale is not None:
+        members.append(("torque scale", estimate.torque_scale))
+    rows: list[Row] = []
+    for name, quantity in members:
+        if quantity is None:
+            rows.append((name, "not determined", "", "", ""))
+            continue
+        value, std = plus_minus(quantity.value, quantity.std)
+        interval = " to ".join(f"{limit:.4g}" for limit in quantity.ci95)
+        rows.append((name, value, std, interval, quantity.unit))
+    heads: Row = ("load", *map(blocks.number, ("value", "±")), "95 %", "unit")
+    for each in blocks.table("Load", heads, rows, heading=False):
+        console.print(printed_table(each))
+    frame = f"frame: link {estimate.study.arm.n_joints}, that of the last joint in the study"
+    console.print(Text(frame))
+    _print_warnings(estimate.warnings, console)
+    for target, title in _TARGETS.items() if exports else ():
+        console.print()
+        console.print(Text(f"{title}:", style="bold"))
+        console.print(Text(exports[target]), soft_wrap=True)
+    if exports and estimate.assumed:
+        console.print()
+        console.print(Text(f"assumed in these texts: {', '.join(estimate.assumed)}"))
+    console.print()
+    console.print(Text(f"written: {path}"), soft_wrap=True)
+
+
 def _print_warnings(warnings: Sequence[domain.Diagnostic], console: Console) -> None:
     groups: dict[str, list[domain.Diagnostic]] = {}
     for warning in by_severity(warnings):

@@ -142,16 +142,21 @@ def term_stds(
 
 
 def term_columns(
-    terms: Sequence[FurtherTerm], arm: Arm, stretch: FilteredRecord, linearised_at: Estimate
+    terms: Sequence[FurtherTerm],
+    arm: Arm,
+    stretch: FilteredRecord,
+    linearised_at: Estimate,
+    carried: FloatArray | float = 0.0,
 ) -> FloatArray:
     """Regressors in the order of `term_stds`, (n_rows, n_joints, n_columns).
 
-    The load is that of the gears by the estimate, without friction.
+    The load is that of the gears by the estimate, without friction, plus the motor torques
+    `carried` (n_motion, n_joints) of a further body.
     """
     q, dq, ddq = stretch.link_motion(arm)
     solution, payload = linearised_at.solution, stretch.signals.experiment.payload
     share = linearised_at.shares.inertia
-    load = gear_load(arm, solution, (q, dq, ddq), payload, share)
+    load = gear_load(arm, solution, (q, dq, ddq), payload, share) + carried
     base = arm.links_of_rigid() @ solution[: arm.n_body] + arm.payload_vector(payload)
     velocity, direction = stretch.motion[1], stretch.drive[1]
     interval = stretch.motion_step * stretch.signals.sample_time

@@ -48,12 +48,17 @@ _TODO = re.compile(r'\s*(\w+)\s*=\s*(?:"?TODO\b|\[\s*TODO\b|\{[^#]*=\s*"?TODO\b)
 
 
 def read_study(
-    path: Path | str, *, logs_exist: bool = True, experiments_exist: bool = True
+    path: Path | str,
+    *,
+    logs_exist: bool = True,
+    experiments_exist: bool = True,
+    of_load: bool = False,
 ) -> Study:
     """Read and check a study file.
 
     `logs_exist` states whether the log files must exist, `experiments_exist` whether there must be
-    an experiment. Raises InvalidInput if the file has a fault.
+    an experiment, `of_load` whether the records carry a load that is to be estimated. Raises
+    InvalidInput if the file has a fault.
     """
     path = Path(path)
     data = read_bytes(path, "the study file")
@@ -63,7 +68,7 @@ def read_study(
     reader = Reader(path, text)
     sha256 = hashlib.sha256(data).hexdigest()
     study = reader.study(document, sha256, experiments_exist=experiments_exist)
-    check_consistency(study, reader)
+    check_consistency(study, reader, of_load=of_load)
     check_sizes(study, reader)
     if logs_exist:
         check_files(study, reader)
@@ -140,10 +145,11 @@ def _check_placeholders(text: str, path: Path) -> None:
         )
 
 
-def check_study(study: Study, given: Collection[str] = ()) -> Study:
+def check_study(study: Study, given: Collection[str] = (), *, of_load: bool = False) -> Study:
     """Check a study that was built or changed in memory as a study file is checked.
 
-    `given` names the experiments whose data are passed in memory and need no file. A study that was
+    `given` names the experiments whose data are passed in memory and need no file; `of_load` is
+    that of `read_study`. A study that was
     not read from a file gets the SHA-256 of its text. Raises InvalidInput if a value has an invalid
     type or range, if the tables contradict each other, or if a log file does not exist.
     """
@@ -155,7 +161,7 @@ def check_study(study: Study, given: Collection[str] = ()) -> Study:
     text = tomli_w.dumps(document_of(dataclasses.replace(study, experiments=named)))
     reader = Reader(study.path, "")
     checked = reader.study(tomllib.loads(text), study.sha256)
-    check_consistency(checked, reader)
+    check_consistency(checked, reader, of_load=of_load)
     check_sizes(checked, reader)
     others = tuple(each for each in study.experiments if each.name not in given)
     for each in others:

@@ -35,13 +35,17 @@ from strainwave.io.study.reader import Reader
 _MAX_CONDITION = 1e6  # of a coupling; those of real wrists are below 10
 
 
-def check_consistency(study: Study, reader: Reader) -> None:
-    """Raise InvalidInput if the tables contradict each other."""
+def check_consistency(study: Study, reader: Reader, *, of_load: bool = False) -> None:
+    """Raise InvalidInput if the tables contradict each other.
+
+    Records of a load to be estimated, `of_load`, need no known payload and may state one.
+    """
     _check_joints(study.arm, reader)
     _check_channels(study, reader)
     _check_experiments(study, reader)
     _check_steps(study, reader)
-    _check_payloads(study, reader)
+    if not of_load:
+        _check_payloads(study, reader)
     check_options(study, reader)
 
 
