@@ -22,12 +22,13 @@ from typing import Any
 import numpy as np
 from rich.table import Table
 
+import strainwave as sw
 from benchmarks.console import Console, share_of
 from benchmarks.families.rigs import between
 from benchmarks.studies.arms import run_all
 from benchmarks.studies.drawn_chains import Chain, draw_chain
 from benchmarks.studies.engine import in_mujoco
-from strainwave.domain import ArmDescription, Experiment, FloatArray, Study
+from strainwave.domain import ArmDescription, Experiment, FloatArray, PayloadEstimate, Study
 from strainwave.domain.arm.consistent_links import standard_parameters
 from strainwave.domain.keys import Values
 from strainwave.domain.study import Channel
@@ -35,6 +36,7 @@ from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, Trajectory
 from strainwave.io.logs import write_log
 from strainwave.io.study import write_study
+from strainwave.pipeline import STAGES
 from strainwave.virtual.experiments import default_plan, record_experiment
 
 KINDS = ("rigid, motor torque", "elastic, motor signals", "rigid, joint torque sensors")
@@ -181,3 +183,117 @@ def _record(
             name, torque = f"tau_l{i + 1}", carried[0][:, i]
         columns[name] = torque + rng.normal(0.0, stds[i], len(torque))
     return columns
+
+
+def evaluate(seed: int, folder: Path) -> dict[str, Any]:
+    """Errors of the load of one arm; logs and the arm's result in a folder are used again."""
+    case, place = draw_case(seed), folder / str(seed)
+    arm = case.chain.study.arm
+    share = float(case.load[0] / case.rated)
+    head = {"seed": seed, "joints": arm.n_joints, "kind": case.kind, "share": share}
+    try:
+        if not (place / "load.toml").exists():
+            place.mkdir(parents=True, exist_ok=True)
+            write_case(case, place, seed)
+        if not (place / "result.json").exists():
+            stages = STAGES if len(case.chain.study.experiments) > 1 else ("rigid",)
+            sw.identify(place / "study.toml", stages=stages).save(place / "result.json")
+        result, begin = sw.read_result(place / "result.json"), time.process_time()
+        estimate = result.payload(place / "load.toml")
+        head["cpu"] = time.process_time() - begin
+        return head | {"parameters": _errors(estimate, case.load)}
+    except Exception as failure:  # counted, so that the other arms run
+        return head | {"failure": f"{type(failure).__name__}: {failure}"}
+
+
+def _errors(estimate: PayloadEstimate, load: FloatArray) -> dict[str, dict[str, Any]]:
+    """Errors of the members of the load that have a value."""
+    members = (estimate.mass, *estimate.xyz, *estimate.inertia_about_centre)
+    return {
+        name: {
+            "error": member.value - true,
+            "std": member.std,
+            "size": load[0],
+            "inside": bool(member.ci95[0] <= true <= member.ci95[1]),
+        }
+        for name, member, true in zip(PARAMETERS, members, load.tolist(), strict=True)
+        if member is not None
+    }
+
+
+def is_within(name: str, row: dict[str, Any]) -> bool:
+    """Whether a mass or a coordinate is within the permitted error or three deviations."""
+    permitted = _MASS_ERROR * row["size"] if name == "mass" else _CENTRE_ERROR
+    return bool(abs(row["error"]) <= max(permitted, _STDS * row["std"]))
+
+
+def tabulate(results: Sequence[dict[str, Any]]) -> list[Table]:
+    """Coverage by parameter, and errors by kind of arm."""
+    done = [result for result in results if "failure" not in result]
+    by_parameter = Table("parameter", "values", "inside", "rms error/std", "median std", box=None)
+    for name in PARAMETERS:
+        rows = [r["parameters"][name] for r in done if name in r["parameters"]]
+        if rows:
+            error, std, size = (
+                np.array([row[k] for row in rows]) for k in ("error", "std", "size")
+            )
+            median = np.median(std / size) if name == "mass" else np.median(std)
+            units = {
+                "mass": f"{100.0 * median:.2g} %",
+                **dict.fromkeys("xyz", f"{1e3 * median:.2g} mm"),
+            }
+            by_parameter.add_row(
+                name,
+                str(len(rows)),
+                share_of([row["inside"] for row in rows]),
+                f"{np.sqrt(np.mean((error / std) ** 2)):.2f}",
+                units.get(name, f"{median:.2g} kg m^2"),
+            )
+    heads = ("arm", "arms", "mass within", "centre within", "inside", "rms error/std", "median CPU")
+    by_kind = Table(*heads, box=None)
+    for kind in (*KINDS, ""):
+        group = [r for r in done if kind in ("", r["kind"])]
+        every = [(name, row) for r in group for name, row in r["parameters"].items()]
+        if not every:
+            continue
+        masses, centres = (
+            [is_within(name, row) for name, row in every if name in names]
+            for names in (("mass",), "xyz")
+        )
+        normalised = [row["error"] / row["std"] for _, row in every]
+        by_kind.add_row(
+            kind or "all",
+            str(len(group)),
+            share_of(masses),
+            share_of(centres),
+            share_of([row["inside"] for _, row in every]),
+            f"{np.sqrt(np.mean(np.square(normalised))):.2f}",
+            f"{np.median([r['cpu'] for r in group]):.1f} s",
+        )
+    return [by_parameter, by_kind]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--arms", type=int, default=100)
+    parser.add_argument("--at-once", type=int, default=os.cpu_count())
+    parser.add_argument(
+        "--folder",
+        type=Path,
+        default=Path("build/payload-arms"),
+        help="of logs and results, which a repeated run uses again",
+    )
+    options = parser.parse_args()
+    console, results = Console(width=140), []
+    work = partial(evaluate, folder=options.folder)
+    for result in run_all(range(options.arms), work, None, options.at_once):
+        results.append(result)
+        text = f"arm {result['seed']}, {result['kind']}, {result['joints']} joints: "
+        wrong = [name for name, row in result.get("parameters", {}).items() if not row["inside"]]
+        console.print(text + result.get("failure", f"outside {', '.join(wrong) or 'none'}"))
+    for table in tabulate(results):
+        console.print(table)
+
+
+if __name__ == "__main__":
+    main()
