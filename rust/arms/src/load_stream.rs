@@ -10,9 +10,11 @@
 mod factor;
 mod low_pass;
 
-use strainwave_core::compiled::{CompiledArm, LinkMotion};
+use std::collections::VecDeque;
+
 use factor::append;
 use low_pass::LowPass;
+use strainwave_core::compiled::{CompiledArm, LinkMotion};
 
 /// Standard parameters of a body.
 pub const BODY: usize = 10;
@@ -106,6 +108,8 @@ pub struct Settings {
     pub per_command: Vec<f64>,
     /// Decay of the current loop over a sample; zero without one.
     pub decay: Vec<f64>,
+    /// [samples] by which inputs are later than the angles; negative: earlier.
+    pub delay: Vec<f64>,
     /// [rad/s] of a motor below which it may stick.
     pub slow: Vec<f64>,
     /// Reciprocal standard deviation of the errors of each joint's equations.
@@ -130,6 +134,8 @@ pub struct LoadStream {
     /// Torques behind the current loops.
     currents: Vec<f64>,
     gears: Vec<f64>,
+    /// Motor angles and torques, the newest first.
+    history: VecDeque<Vec<f64>>,
     /// Of motor angles, torques, link angles.
     motion: LowPass,
     /// Of the columns of all rows.
@@ -164,6 +170,7 @@ impl LoadStream {
             joints,
             currents: vec![0.0; joints],
             gears: vec![0.0; joints],
+            history: VecDeque::new(),
             motion: LowPass::new(settings.motion_poles, settings.sample_time, 3 * joints),
             equations: LowPass::new(poles, settings.sample_time, wide),
             columns: vec![0.0; wide],
@@ -208,6 +215,7 @@ impl LoadStream {
             };
             self.currents[i] = torque + decay * (signals[n + i] - torque);
         }
+        self.align(&mut signals[..2 * n]);
         for i in 0..n {
             let ratios = &self.settings.transmission[i * n..(i + 1) * n];
             signals[2 * n + i] = dot(ratios, &signals[..n]);
@@ -233,6 +241,29 @@ impl LoadStream {
         filled
             .map(|block| (&block.factor[..], &block.products[..]))
             .collect()
+    }
+
+    /// Replaces angles and torques by those of the latest common time.
+    fn align(&mut self, signals: &mut [f64]) {
+        let delay = &self.settings.delay;
+        if delay.iter().all(|samples| *samples == 0.0) {
+            return;
+        }
+        let latest = delay.iter().copied().fold(0.0, f64::max);
+        let longest = latest - delay.iter().copied().fold(0.0, f64::min);
+        self.history.push_front(signals.to_vec());
+        self.history.truncate(longest as usize + 2);
+        let oldest = self.history.len() - 1;
+        for (k, signal) in signals.iter_mut().enumerate() {
+            let ago = if k < self.joints {
+                latest
+            } else {
+                latest - delay[k - self.joints]
+            };
+            let (whole, part) = (ago as usize, ago.fract());
+            let at = |samples: usize| self.history[samples.min(oldest)][k];
+            *signal = at(whole) + part * (at(whole + 1) - at(whole));
+        }
     }
 
     /// Unfiltered columns of all rows at the filtered motion.

@@ -27,7 +27,7 @@ impl LoadStream {
     #[new]
     #[pyo3(signature = (arm, *, chain, sample_time, bandwidth_hz, motion_poles_hz, samples_per_row,
         rows_per_block, blocks, transmission, inverse, links, motor_inertia, friction, shared,
-        terms, compliance, zero, per_command, decay, slow, weight))]
+        terms, compliance, zero, per_command, decay, delay, slow, weight))]
     fn new(
         py: Python<'_>,
         arm: Py<Arm>,
@@ -49,6 +49,7 @@ impl LoadStream {
         zero: Vec<f64>,
         per_command: Vec<f64>,
         decay: Vec<f64>,
+        delay: Vec<f64>,
         slow: Vec<f64>,
         weight: Vec<f64>,
     ) -> PyResult<Self> {
@@ -85,6 +86,7 @@ impl LoadStream {
             zero: each(zero, "zero")?,
             per_command: each(per_command, "per_command")?,
             decay: each(decay, "decay")?,
+            delay: each(delay, "delay")?,
             slow: each(slow, "slow")?,
             weight: each(weight, "weight")?,
         };
