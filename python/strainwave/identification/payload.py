@@ -243,6 +243,7 @@ def _fit(
     )
     estimate = Estimate(prior.solution, prior.compliance, no_friction, shares)
     value, root = np.zeros(N_PARAMETERS) if start is None else start, np.zeros(0)
+    n = n_compliances(arm)
     for iteration in range(_MAX_ITERATIONS):
         system = _equations(arm, stretches, estimate, prior, value)
         equations = system.equations
@@ -257,8 +258,10 @@ def _fit(
         if has_settled and np.all(np.abs(change[known]) <= _TOLERANCE * factor.deviation[known]):
             break
         free = estimate_of(arm, stretches, equations, factor, shares).stiction_torque
-        shift = system.spread @ factor.common[n_compliances(arm) :]
-        estimate = replace(estimate, solution=prior.solution + shift, stiction_torque=free)
+        shift = system.spread @ factor.common[n:]
+        compliance = prior.compliance.copy()
+        compliance[:n] += np.minimum(factor.common[:n], 3.0 * equations.common_deviation[:n])
+        estimate = Estimate(prior.solution + shift, np.clip(compliance, 0.0, None), free, shares)
         root = ls.root_weights(equations, factor)
     covariance, _ = ls.jackknife(equations, factor)
     # a load of nothing has no torque: the limit is a share of the torque of arm and load
