@@ -32,7 +32,7 @@ from strainwave.domain.arm.kinds.base import MOTOR_SHARE
 from strainwave.domain.keys import JointNumber, Key
 from strainwave.domain.results.distributions import f_quantile, student_quantile
 from strainwave.dynamics.arm import Arm
-from strainwave.dynamics.rigid_prediction import corrected_signals
+from strainwave.dynamics.rigid_prediction import CORRECTIONS, corrected_signals
 from strainwave.errors import NotIdentifiable
 from strainwave.identification.rigid.equations import (
     Estimate,
@@ -337,14 +337,12 @@ def _friction_of_terms(
 ) -> FloatArray | float:
     """Torques of the identified further terms of friction, (n_rows,).
 
-    `carried` has the torques of the load, (n_motion, n_joints), which friction grows with.
+    Other terms have corrected the signals. `carried` has the torques of the load,
+    (n_motion, n_joints), which friction grows with.
     """
-    further = [
-        FurtherTerm(term.effect, (term.joint or 1) - 1, term.shape)
-        for term in terms
-        if term.size.value is not None
-    ]
-    sizes = np.array([term.size.value for term in terms if term.size.value is not None])
+    known = [t for t in terms if t.size.value is not None and t.effect not in CORRECTIONS]
+    further = [FurtherTerm(term.effect, (term.joint or 1) - 1, term.shape) for term in known]
+    sizes = np.array([term.size.value for term in known])
     if not further:
         return 0.0
     return np.concatenate(
