@@ -61,8 +61,8 @@ def number(value: float) -> str:
 def _urdf(body: Body, arm: ArmDescription) -> str:
     """A link that is fixed to the last one, in the frame of that link."""
     parent = f"link{arm.n_joints}"
-    if arm.urdf is not None:
-        parent = child_link(Path(arm.urdf.file), arm.joint_names[-1]) or parent
+    if arm.urdf is not None and (path := Path(arm.urdf.file)).is_file():
+        parent = child_link(path, arm.joint_names[-1]) or parent
     names = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
     x, y, z = map(number, body.centre)
     inertia = " ".join(f'{n}="{number(v)}"' for n, v in zip(names, body.inertia, strict=True))
