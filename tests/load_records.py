@@ -5,6 +5,7 @@ tau_i = sum over bodies of m (a - g) . dv/d(dq_i) + (I dw + w x I w) . dw/d(dq_i
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -132,10 +133,14 @@ def record(
     described: ArmDescription | None = None,
     noise_seed: int = 0,
     noise: float = NOISE,
+    links: Sequence[tuple[float, tuple[float, float, float]]] = BODIES,
 ) -> dict[str, FloatArray]:
-    """Motor angles and torques of a motion, with noise and encoders of 8192 counts."""
+    """Motor angles and torques of a motion, with noise and encoders of 8192 counts.
+
+    `links` has mass and centre of each link.
+    """
     described = described or arm()
-    bodies = [[Load(mass, xyz, moments_of(mass))] for mass, xyz in BODIES[: described.n_joints]]
+    bodies = [[Load(mass, xyz, moments_of(mass))] for mass, xyz in links[: described.n_joints]]
     bodies[-1] += [load] if load else []
     rng = np.random.default_rng(noise_seed)
     time, whole = motion.angles()

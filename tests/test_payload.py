@@ -17,10 +17,12 @@ from strainwave.domain import (
     ArmDescription,
     Experiment,
     FloatArray,
+    Joint,
     Origin,
     Payload,
     PayloadEstimate,
 )
+from strainwave.domain.arm.kinds import planar_two_link, single_joint
 from strainwave.errors import InvalidInput, NotIdentifiable
 from strainwave.io.logs import write_log
 from strainwave.io.study import write_study
@@ -179,6 +181,60 @@ def test_one_moving_joint_shows_the_moments_about_its_axis(result: sw.Result) ->
     assert "load-undetermined" in codes(load)
 
 
+PLANAR = ((4.0, (0.2, 0.0, 0.0)), (2.0, (0.15, 0.0, 0.0)))
+JOINT = Joint("rigid", records.RATIO)
+
+
+def planar_load(described: ArmDescription, load: records.Load) -> PayloadEstimate:
+    """The load of a planar arm that two records without it identify."""
+    n = described.n_joints
+    links = PLANAR[:n]
+
+    def study_of(*names: str) -> sw.Study:
+        experiments = tuple(Experiment(name, "", "motion", SERVOS[:n]) for name in names)
+        return records.study(Path(), arm=described, experiments=experiments)
+
+    data = {
+        name: records.record(
+            load if name == "l" else None,
+            records.Motion(seed),
+            described=described,
+            noise_seed=seed,
+            links=links,
+        )
+        for seed, name in enumerate("abl", start=1)
+    }
+    load_record = {"l": data.pop("l")}
+    result = sw.identify(study_of("a", "b"), data=data, stages="rigid")
+    return result.payload(study_of("l"), data=load_record)
+
+
+def test_a_planar_arm_shows_mass_and_centre_in_its_plane() -> None:
+    load = records.Load(0.7, (0.28, 0.04, 0.05), (1e-3, 1e-3, 4e-3))
+    estimate = planar_load(planar_two_link([JOINT, JOINT], 0.35, 9.81), load)
+    x, y, z = estimate.xyz
+    zz = estimate.inertia_about_centre[5]
+    assert estimate.mass is not None
+    for quantity, true in ((estimate.mass, 0.7), (x, 0.28), (y, 0.04), (zz, 4e-3)):
+        assert quantity is not None
+        assert abs(quantity.value - true) < 4.0 * quantity.std
+    assert estimate.mass.value == pytest.approx(0.7, rel=0.01)
+    assert z is None
+    assert estimate.inertia_about_centre[:5] == (None,) * 5
+    assert "z" in estimate.assumed
+
+
+def test_a_pendulum_shows_first_moments_and_the_inertia_about_its_axis() -> None:
+    estimate = planar_load(single_joint(JOINT, 9.81), records.Load(0.5, (0.2, 0.05, 0.0)))
+    x, y, z = estimate.quantities.first_moments
+    inertia = estimate.quantities.inertia_about_origin[5]
+    for quantity, true in ((x, 0.1), (y, 0.025), (inertia, 0.5 * (0.2**2 + 0.05**2))):
+        assert quantity is not None
+        assert abs(quantity.value - true) < 4.0 * quantity.std
+    assert (estimate.mass, estimate.xyz, z) == (None, (None,) * 3, None)
+    assert estimate.body is None
+
+
 # --- refusals ------------------------------------------------------------------------------------
 
 
@@ -322,4 +378,30 @@ def test_exit_codes_of_the_command(files: Path, carried: Columns) -> None:
         assert not (files / name).exists()
 
 
-# --- arms of known data --------------------------------------------------------------------------
+# --- arms of an independent engine ---------------------------------------------------------------
+
+
+def test_the_load_of_an_elastic_chain(shared_data: Path) -> None:
+    """0.8 kg on three elastic joints, from the rigid step alone: 1 % and 3 mm."""
+    folder = shared_data.parent / "serial" / "chain3-imu"
+    truth = json.loads((folder / "payload-truth.json").read_text())
+    study = sw.read_study(folder / "study.toml")
+    motion = [each for each in study.experiments if each.use == "motion"]
+    result = sw.identify(replace(study, experiments=tuple(motion)), stages="rigid")
+    load = result.payload(folder / "payload.toml")
+    assert load.mass is not None
+    assert load.mass.value == pytest.approx(truth["mass"], rel=0.01)
+    for coordinate, true in zip(load.xyz, truth["xyz"], strict=True):
+        assert coordinate is not None
+        assert abs(coordinate.value - true) < min(3e-3, 4.0 * coordinate.std)
+
+
+def test_the_load_of_a_horizontal_arm(shared_data: Path) -> None:
+    """Two disks of 1 kg at the tip, 0.3 m from axis 2: the difference of two records of the lab."""
+    lab = shared_data / "lab"
+    result = sw.identify(lab / "scara-strainwave-3kg" / "study.toml", stages="rigid")
+    load = result.payload(lab / "scara-linear-5kg" / "study.toml")
+    for quantity, true in zip((load.mass, *load.xyz[:2]), (2.0, 0.3, 0.0), strict=True):
+        assert quantity is not None
+        assert abs(quantity.value - true) < 4.0 * quantity.std
+    assert load.xyz[2] is None
