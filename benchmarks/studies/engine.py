@@ -76,21 +76,23 @@ def in_mujoco(
     record: Sequence[Quantity],
     plant: Callable[[Arm, Values], Plant] = Plant,
     delay: float = 0.0,
+    step: float = STEP,
 ) -> Trajectory:
     """Simulate one experiment, with the interface of `strainwave.dynamics.simulation.simulate`.
 
-    `delay` [s] is that of the voltages after the encoder readings.
+    `delay` [s] is that of the voltages after the encoder readings, `step` [s] the time step; rigid
+    joints need no short one.
     """
     simulated = plant(arm, values)
     with_frames = not {"specific_force_x", "gear_torque"}.isdisjoint(record)
-    model = _model(arm, values, simulated, with_frames=with_frames)
+    model = _model(arm, values, simulated, step, with_frames=with_frames)
     data = mujoco.MjData(model)
     joints = range(1, arm.n_joints + 1)
     simulated.begin(model, data, drive)
-    per_tick, per_sample = round(drive.tick / STEP), round(sample_time / STEP)
+    per_tick, per_sample = round(drive.tick / step), round(sample_time / step)
     n = (samples - 1) * per_sample + 1
     servo = _LawServo(arm, drive) if drive.linear_servo else _Servo(arm, drive)
-    current, late = _CurrentLoop(simulated, drive), round(delay / STEP)
+    current, late = _CurrentLoop(simulated, drive, step), round(delay / step)
     commanded = np.array(drive.initial_voltage)
     sensor_data = np.empty((n, model.nsensordata))
     voltage = np.empty((n, arm.n_joints))
@@ -129,7 +131,7 @@ def in_mujoco(
         for name in ("angular_acceleration", "rate_product"):
             passes[name] = passes["specific_force"]
         return {
-            name: _filter(values, 2, passes[name.rpartition("_")[0]])[::per_sample]
+            name: _filter(values, 2, passes[name.rpartition("_")[0]], step)[::per_sample]
             for name, values in signals.items()
         }
 
@@ -139,9 +141,9 @@ def in_mujoco(
         "encoder": lambda: _quantise(motor_angle(), arm.joints),
         "gear_torque": gear_torque,
         "accelerometer": lambda: _filter(
-            sensor("a", 1), 2, [j.accelerometer_hz for j in arm.joints]
+            sensor("a", 1), 2, [j.accelerometer_hz for j in arm.joints], step
         ),
-        "gyro": lambda: _filter(sensor("gyro", 2), 1, [j.gyro_hz for j in arm.joints]),
+        "gyro": lambda: _filter(sensor("gyro", 2), 1, [j.gyro_hz for j in arm.joints], step),
     }
     time: FloatArray = sample_time * np.arange(samples, dtype=np.float64)
     of_frames = frames() if not quantities.keys() >= set(record) else {}
@@ -191,7 +193,7 @@ def _with_frames(mjcf: str) -> str:
     return ElementTree.tostring(root, encoding="unicode")
 
 
-def _model(arm: Arm, values: Values, plant: Plant, *, with_frames: bool) -> Any:
+def _model(arm: Arm, values: Values, plant: Plant, step: float, *, with_frames: bool) -> Any:
     parameters = tuple(
         Parameter(name, joint, value, 0.0, "1", "tuned") for (name, joint), value in values.items()
     )
@@ -201,10 +203,10 @@ def _model(arm: Arm, values: Values, plant: Plant, *, with_frames: bool) -> Any:
     text = to_mjcf(IdentifiedArm(study, parameters, "truth")).data.decode()
     text = plant.edited(text)
     model = mujoco.MjModel.from_xml_string(_with_frames(text) if with_frames else text)
-    model.opt.timestep = STEP
+    model.opt.timestep = step
     for i in range(1, arm.n_joints + 1):
         at = model.joint(_motor_joint(arm, i)).dofadr[0]
-        model.dof_solref[at] = 2.0 * settling(values, i), 1.0
+        model.dof_solref[at] = 2.0 * max(settling(values, i), step), 1.0
     return model
 
 
@@ -238,8 +240,8 @@ def _hang(arm: Arm, values: Values, drive: Drive, data: Any) -> None:
 class _CurrentLoop:
     """Equivalent voltages of first-order current loops."""
 
-    def __init__(self, plant: Plant, drive: Drive) -> None:
-        x = 2.0 * np.pi * np.array(plant.bandwidths()) * STEP
+    def __init__(self, plant: Plant, drive: Drive, step: float) -> None:
+        x = 2.0 * np.pi * np.array(plant.bandwidths()) * step
         self.decay, self.mean = np.exp(-x), -np.expm1(-x) / x
         self.state = np.array(drive.initial_voltage)
 
@@ -314,7 +316,9 @@ def _quantise(angle: FloatArray, joints: Sequence[Joint]) -> FloatArray:
     return np.asarray(count * np.round(angle / count))
 
 
-def _filter(x: FloatArray, order: int, bandwidths: Sequence[float | None]) -> FloatArray:
+def _filter(
+    x: FloatArray, order: int, bandwidths: Sequence[float | None], step: float
+) -> FloatArray:
     """Apply continuous Butterworth filters to signals joined by straight lines between steps.
 
     A bilinear filter of 1 kHz would be 2 us late, ten times the resolution of good records.
@@ -323,7 +327,7 @@ def _filter(x: FloatArray, order: int, bandwidths: Sequence[float | None]) -> Fl
     for i, hz in enumerate(bandwidths):
         if hz:
             analog = butter(order, 2.0 * np.pi * hz, analog=True)
-            numerator, a, _ = cont2discrete(analog, STEP, method="foh")
+            numerator, a, _ = cont2discrete(analog, step, method="foh")
             b = np.ravel(numerator)
             filtered[:, i] = lfilter(b, a, x[:, i], zi=lfilter_zi(b, a) * x[0, i])[0]
     return filtered

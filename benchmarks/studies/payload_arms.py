@@ -27,7 +27,7 @@ from benchmarks.console import Console, share_of
 from benchmarks.families.rigs import between
 from benchmarks.studies.arms import run_all
 from benchmarks.studies.drawn_chains import Chain, draw_chain
-from benchmarks.studies.engine import in_mujoco
+from benchmarks.studies.engine import STEP, in_mujoco
 from strainwave.domain import ArmDescription, Experiment, FloatArray, PayloadEstimate, Study
 from strainwave.domain.arm.consistent_links import standard_parameters
 from strainwave.domain.keys import Values
@@ -45,6 +45,7 @@ SHARES = (1e-3, 0.3)
 """Smallest and largest load over what the arm carries."""
 MAX_FULL_JOINTS = 3
 """Elastic arms of more joints are identified by the rigid stage alone, which takes seconds."""
+_RIGID_STEP = 2.5e-4  # [s] of MuJoCo without the vibration of gears
 _NOISE_SHARE = 5e-3  # of measured torques: standard deviation over the motor's largest torque
 _FRICTION_CHANGE = 0.1  # largest relative change from the identification to the load
 _USED_SHARE = 0.8  # of the motors' torque, for links, load and friction
@@ -164,7 +165,9 @@ def _record(
     def simulator(
         arm: Arm, values: Values, drive: Drive, *, record: Sequence[Any], **clock: Any
     ) -> Trajectory:
-        trajectory = in_mujoco(arm, values, drive, record=[*record, "gear_torque"], **clock)
+        step = STEP if arm.joints[0].elastic else _RIGID_STEP
+        record = [*record, "gear_torque"]
+        trajectory = in_mujoco(arm, values, drive, record=record, step=step, **clock)
         carried.append(trajectory.quantities["gear_torque"])
         return trajectory
 

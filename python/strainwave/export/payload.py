@@ -19,7 +19,6 @@ import numpy as np
 
 from strainwave.domain import ArmDescription, FloatArray, PayloadEstimate
 from strainwave.domain.arm.kinds.base import Body
-from strainwave.export.source import numbers
 from strainwave.io.urdf import child_link
 from strainwave.version import __version__
 
@@ -55,21 +54,22 @@ def _array(values: Iterable[float]) -> str:
 
 def number(value: float) -> str:
     """A value with seven digits and a decimal point, as all targets read it."""
-    text = f"{value + 0.0:.7g}"  # no -0.0
+    text = f"{round(value, 9) + 0.0:.7g}"  # neither rounding errors nor -0.0
     return text if any(c in text for c in ".e") else f"{text}.0"
 
 
 def _urdf(body: Body, arm: ArmDescription) -> str:
     """A link that is fixed to the last one, in the frame of that link."""
     parent = f"link{arm.n_joints}"
-    if arm.urdf is not None:
-        parent = child_link(Path(arm.urdf.file), arm.joint_names[-1]) or parent
+    if arm.urdf is not None and (path := Path(arm.urdf.file)).is_file():
+        parent = child_link(path, arm.joint_names[-1]) or parent
     names = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+    x, y, z = map(number, body.centre)
     inertia = " ".join(f'{n}="{number(v)}"' for n, v in zip(names, body.inertia, strict=True))
     return f"""\
 <link name="payload">
   <inertial>
-    <origin xyz="{numbers(*body.centre)}" rpy="0 0 0" />
+    <origin xyz="{x} {y} {z}" rpy="0 0 0" />
     <mass value="{number(body.mass)}" />
     <inertia {inertia} />
   </inertial>

@@ -30,7 +30,7 @@ from strainwave.domain.arm.description import LinkPrior
 from strainwave.domain.arm.gear_laws import GearLaw
 from strainwave.domain.arm.kinds.base import MOTOR_SHARE
 from strainwave.domain.keys import JointNumber, Key
-from strainwave.domain.results.distributions import chi_square_limit, student_quantile
+from strainwave.domain.results.distributions import f_quantile, student_quantile
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.rigid_prediction import CORRECTIONS, corrected_signals
 from strainwave.errors import NotIdentifiable
@@ -84,8 +84,13 @@ class LoadFit:
     value: FloatArray  # (10,) unconstrained estimate
     covariance: FloatArray  # (10, 10)
     is_determined: BoolArray  # (10,)
-    half_width: float  # of 95 % intervals, in standard deviations
+    n_blocks: int  # of the jackknife
     shift: float  # squared distance of parts of the records over its limit; above 1: it moved
+
+    @property
+    def half_width(self) -> float:
+        """Half-width of 95 % intervals in standard deviations."""
+        return student_quantile(0.975, max(1, self.n_blocks - 1))
 
     @property
     def stds(self) -> FloatArray:
@@ -178,7 +183,7 @@ def fit_load(signals: Sequence[Signals], arm: Arm, prior: ArmPrior) -> LoadFit:
     excess = excess_variance(best.value, spread)
     covariance = best.covariance + np.diag(np.where(best.is_determined, excess, 0.0))
     parts = [(a, b) for a, b in zip(others[n::2], others[n + 1 :: 2], strict=True) if a and b]
-    shift = max((_shift(*each) for each in parts), default=0.0)
+    shift = max((_shift(a, b, excess) for a, b in parts), default=0.0)
     return replace(best, covariance=covariance, shift=shift)
 
 
@@ -208,15 +213,21 @@ def _half(signals: Signals, part: int) -> Motion:
     return half, period_of(half)
 
 
-def _shift(first: LoadFit, second: LoadFit) -> float:
-    """Squared distance of mass and first moments of two fits over its limit."""
+def _shift(first: LoadFit, second: LoadFit, excess: FloatArray) -> float:
+    """Squared distance of mass and first moments of two fits over its limit.
+
+    Hotelling's limit: the covariances are those of a few blocks. `excess` (10,) are variances of
+    the model error.
+    """
     at = np.flatnonzero((first.is_determined & second.is_determined)[:4])
     if not len(at):
         return 0.0
     change = (second.value - first.value)[at]
-    covariance = (first.covariance + second.covariance)[np.ix_(at, at)]
-    distance = float(change @ np.linalg.solve(covariance, change))
-    return distance / chi_square_limit(_MOVED_LEVEL, len(at))
+    covariance = first.covariance + second.covariance + 2.0 * np.diag(excess)
+    distance = float(change @ np.linalg.solve(covariance[np.ix_(at, at)], change))
+    degrees = max(first.n_blocks, second.n_blocks) - len(at)
+    ratio = len(at) * (degrees + len(at) - 1) / degrees
+    return distance / (ratio * f_quantile(1.0 - _MOVED_LEVEL, len(at), degrees))
 
 
 def _fit(
@@ -232,6 +243,7 @@ def _fit(
     )
     estimate = Estimate(prior.solution, prior.compliance, no_friction, shares)
     value, root = np.zeros(N_PARAMETERS) if start is None else start, np.zeros(0)
+    n = n_compliances(arm)
     for iteration in range(_MAX_ITERATIONS):
         system = _equations(arm, stretches, estimate, prior, value)
         equations = system.equations
@@ -246,8 +258,10 @@ def _fit(
         if has_settled and np.all(np.abs(change[known]) <= _TOLERANCE * factor.deviation[known]):
             break
         free = estimate_of(arm, stretches, equations, factor, shares).stiction_torque
-        shift = system.spread @ factor.common[n_compliances(arm) :]
-        estimate = replace(estimate, solution=prior.solution + shift, stiction_torque=free)
+        shift = system.spread @ factor.common[n:]
+        compliance = prior.compliance.copy()
+        compliance[:n] += np.minimum(factor.common[:n], 3.0 * equations.common_deviation[:n])
+        estimate = Estimate(prior.solution + shift, np.clip(compliance, 0.0, None), free, shares)
         root = ls.root_weights(equations, factor)
     covariance, _ = ls.jackknife(equations, factor)
     # a load of nothing has no torque: the limit is a share of the torque of arm and load
@@ -256,7 +270,7 @@ def _fit(
         value=value,
         covariance=covariance,
         is_determined=ls.determined(whole, factor, covariance) & (factor.deviation > 0.0),
-        half_width=student_quantile(0.975, max(1, len(np.unique(equations.block)) - 1)),
+        n_blocks=len(np.unique(equations.block)),
         shift=0.0,
     )
 
@@ -323,7 +337,8 @@ def _friction_of_terms(
 ) -> FloatArray | float:
     """Torques of the identified further terms of friction, (n_rows,).
 
-    Other terms have corrected the signals. `carried` has the torques of the load, (n_motion, n_joints), which friction grows with.
+    Other terms have corrected the signals. `carried` has the torques of the load,
+    (n_motion, n_joints), which friction grows with.
     """
     known = [t for t in terms if t.size.value is not None and t.effect not in CORRECTIONS]
     further = [FurtherTerm(term.effect, (term.joint or 1) - 1, term.shape) for term in known]

@@ -71,7 +71,11 @@ def estimate_payload(
             remedy='identify the arm again, with records of use = "motion"',
         )
     found = found.with_identified_drives()
-    arm = Arm.of(found.study.arm)
+    described = found.study.arm
+    if described.urdf is not None:  # relative to the study of the identification
+        file = str(found.study.path.parent / described.urdf.file)
+        described = replace(described, urdf=replace(described.urdf, file=file))
+    arm = Arm.of(described)
     _require_same_arm(study, arm)
     with one_blas_thread():
         progress("reading the logs")
@@ -121,7 +125,7 @@ def estimate_payload(
         assumed=assumed if is_load else (),
         records=tuple(each.experiment.name for each in signals),
         warnings=merge_by_cause(dict.fromkeys(warnings)),
-        study=replace(study, arm=found.study.arm),
+        study=replace(study, arm=described),
         result=source,
         stated=stated,
         torque_scale=scale,

@@ -106,3 +106,10 @@ def f_tail(value: float, numerator: float, denominator: float) -> float:
     from scipy.special import fdtrc
 
     return float(fdtrc(numerator, denominator, value))
+
+
+def f_quantile(probability: float, numerator: float, denominator: float) -> float:
+    """Value that an F variable with these degrees of freedom does not exceed with a probability."""
+    from scipy.special import fdtri
+
+    return float(fdtri(numerator, denominator, probability))
