@@ -12,6 +12,7 @@ __all__ = [
     "Experiment",
     "Innovations",
     "InnovationsFit",
+    "LoadStream",
     "eliminate",
     "gear_laws",
     "hankel_gram",
@@ -322,3 +323,53 @@ def joint_effects() -> list[tuple[str, list[str], int, bool]]:
     The sizes come first; an effect whose sizes are all zero is not there. One `of_gear` takes an
     elastic gear.
     """
+
+@final
+class LoadStream:
+    """Equations of a load on an identified arm, from samples of motor angles and torques."""
+
+    def __new__(
+        cls,
+        arm: Arm,
+        *,
+        chain: Arm | None,
+        sample_time: float,
+        bandwidth_hz: float,
+        motion_poles_hz: float,
+        samples_per_row: int,
+        rows_per_block: int,
+        blocks: int,
+        transmission: NDArray[np.float64],
+        inverse: NDArray[np.float64],
+        links: Sequence[float],
+        motor_inertia: Sequence[float],
+        friction: NDArray[np.float64],
+        shared: Sequence[tuple[int, float]],
+        terms: Sequence[tuple[str, int, float, float]],
+        compliance: Sequence[float],
+        zero: Sequence[float],
+        per_command: Sequence[float],
+        decay: Sequence[float],
+        delay: Sequence[float],
+        slow: Sequence[float],
+        weight: Sequence[float],
+    ) -> LoadStream:
+        """A stream without samples.
+
+        `chain` is the general chain of an arm with a program of its own. `links` are base
+        parameters, `friction` (n_joints, 3) viscous and Coulomb friction and offset of the joints,
+        `shared` links from 0 and their viscous friction, `terms` effects with joint from 0, shape
+        and size. `decay` is that of current loops over a sample, `delay` [samples] by which torques
+        are late, `slow` [rad/s] the speed below which a motor may stick, and `weight` the
+        reciprocal errors of the torques. Raises ValueError for sizes that do not fit.
+        """
+    def update(self, angle: NDArray[np.float64], input: NDArray[np.float64]) -> None:
+        """Add a sample of motor angles [rad] and inputs (n_joints,); ValueError for other sizes."""
+    def reset(self) -> None:
+        """Forget all samples."""
+    def equations(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Factors (n_blocks, n + 1, n + 1) of the equations, and products (n_blocks, n, n_arm).
+
+        The n unknowns are the friction of all joints and the ten parameters of the load; the
+        products are those of the equations with the columns of links, motors and shared friction.
+        """

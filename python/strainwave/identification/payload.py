@@ -56,7 +56,7 @@ _MAX_ITERATIONS = 12
 _TOLERANCE = 0.02  # change in standard deviations for white errors, as in the rigid step
 # friction changes with temperature and time: prior standard deviation relative to its values
 _FRICTION_CHANGE = 0.1
-_UNKNOWN_STDS = 10.0  # prior standard deviation of an undetermined parameter, over its torque
+UNKNOWN_STDS = 10.0  # prior standard deviation of an undetermined parameter, over its torque
 _BANDWIDTH_RATIOS = (2.0**-0.5, 2.0**0.5)  # at which the change of the estimate shows model errors
 _GUESSED_RADIUS = 0.05  # [m] radius of gyration of the load to which the consistent one is nearest
 _MIN_WEIGHT = 1e-12  # of a direction of the covariance, which is singular to rounding below it
@@ -183,7 +183,7 @@ def fit_load(signals: Sequence[Signals], arm: Arm, prior: ArmPrior) -> LoadFit:
     excess = excess_variance(best.value, spread)
     covariance = best.covariance + np.diag(np.where(best.is_determined, excess, 0.0))
     parts = [(a, b) for a, b in zip(others[n::2], others[n + 1 :: 2], strict=True) if a and b]
-    shift = max((_shift(a, b, excess) for a, b in parts), default=0.0)
+    shift = max((shift_of(a, b, excess) for a, b in parts), default=0.0)
     return replace(best, covariance=covariance, shift=shift)
 
 
@@ -213,7 +213,7 @@ def _half(signals: Signals, part: int) -> Motion:
     return half, period_of(half)
 
 
-def _shift(first: LoadFit, second: LoadFit, excess: FloatArray) -> float:
+def shift_of(first: LoadFit, second: LoadFit, excess: FloatArray) -> float:
     """Squared distance of mass and first moments of two fits over its limit.
 
     Hotelling's limit: the covariances are those of a few blocks. `excess` (10,) are variances of
@@ -365,16 +365,21 @@ def _spread(equations: ls.Equations, prior: ArmPrior, arm: Arm) -> FloatArray:
     identified = unit[:, None] * directions * np.sqrt(np.clip(sizes, 0.0, None))
     stop = arm.n_body + FRICTION_COLUMNS * arm.n_joints
     friction = np.zeros_like(prior.solution)
-    of_joints = np.abs(arm.joint_friction(prior.solution))
-    of_joints[:, 2] += of_joints[:, 1]  # the offset changes by a share of the Coulomb friction
-    friction[arm.n_body : stop] = _FRICTION_CHANGE * of_joints.ravel()
+    friction[arm.n_body : stop] = friction_changes(arm, prior.solution).ravel()
     torque = np.sqrt(np.mean(equations.target**2))
     size = np.sqrt(np.mean(equations.shared**2, axis=0))
-    unknown = np.where(prior.is_determined | (size == 0.0), 0.0, _UNKNOWN_STDS * torque)
+    unknown = np.where(prior.is_determined | (size == 0.0), 0.0, UNKNOWN_STDS * torque)
     unknown /= np.where(size > 0.0, size, 1.0)
     columns = [identified, np.diag(friction), np.diag(unknown)]
     spread = np.concatenate(columns, axis=1)
     return np.asarray(spread[:, np.any(spread != 0.0, axis=0)])
+
+
+def friction_changes(arm: Arm, solution: FloatArray) -> FloatArray:
+    """Standard deviations of changes of joint friction since the identification, (n_joints, 3)."""
+    of_joints = np.abs(arm.joint_friction(solution))
+    of_joints[:, 2] += of_joints[:, 1]  # the offset changes by a share of the Coulomb friction
+    return np.asarray(_FRICTION_CHANGE * of_joints)
 
 
 def prior_of(

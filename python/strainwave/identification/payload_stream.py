@@ -13,17 +13,17 @@ unknown, with the identified values as prior.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from strainwave import _core
-from strainwave.domain import BoolArray, FloatArray, FrictionTerm, RigidModel
+from strainwave.domain import BoolArray, FloatArray, FrictionTerm, Joint, RigidModel
 from strainwave.domain.arm.base_parameters import core_arm
-from strainwave.domain.results.distributions import student_quantile
 from strainwave.dynamics.arm import Arm
-from strainwave.dynamics.rigid_prediction import DELAY, TORSION, ZERO
+from strainwave.dynamics.rigid_prediction import CORRECTIONS, DELAY, TORSION, ZERO
 from strainwave.errors import InvalidInput, NotIdentifiable
 from strainwave.identification.payload import (
     N_PARAMETERS,
@@ -42,7 +42,7 @@ DEFAULT_WINDOW = 10.0
 _BLOCKS = 20  # of the window, as in the jackknife of records
 _MIN_BLOCKS = 4  # of an estimate: fewer give no useful interval
 _ROWS_PER_CUTOFF = 4.0  # rows per period of the bandwidth, as for records
-# The equations are nonlinear in the motion, which therefore keeps a higher bandwidth, as in records.
+# The equations are nonlinear in the motion, which keeps a higher bandwidth, as in records.
 _MOTION_BANDWIDTHS = 8.0
 _MAX_POLE_SHARE = 0.1  # of the sampling rate: largest frequency of the low-pass of the motion
 # of the identified motion's rms velocity, below which a joint may stick
@@ -66,7 +66,7 @@ class LoadStream:
 
     `sample_time` [s] is the period of the samples, `window` [s] the time of motion that counts.
     Samples in which a joint may stick do not count for it. Raises InvalidInput if the samples are
-    too slow for the bandwidth of the arm's model, or if its torques have a delay.
+    too slow for the bandwidth of the arm's model.
     """
 
     def __init__(
@@ -81,18 +81,10 @@ class LoadStream:
         per_row = int(1.0 / (_ROWS_PER_CUTOFF * prior.bandwidth_hz * sample_time))
         if per_row < 1:
             raise InvalidInput(
-                f"a sample every {sample_time:g} s does not resolve the {prior.bandwidth_hz:.3g} Hz "
-                "of the arm's model",
+                f"a sample every {sample_time:g} s does not resolve the bandwidth of the arm's "
+                f"model, {prior.bandwidth_hz:.3g} Hz",
                 where="sample_time",
                 remedy=f"sample every {0.25 / prior.bandwidth_hz:.2g} s or faster",
-            )
-        delayed = [str(t.joint) for t in prior.friction_terms if t.effect == DELAY and t.size.value]
-        if delayed:
-            raise InvalidInput(
-                f"the torque of joint {', '.join(delayed)} has a delay, which the stream does not "
-                "compensate",
-                where="the result: friction_terms",
-                remedy="estimate the load from a log with `payload`",
             )
         self.arm, self.prior = arm, prior
         n = arm.n_body
@@ -108,24 +100,12 @@ class LoadStream:
         if arm.n_shared:
             self._map[-arm.n_shared :, -arm.n_shared :] = np.eye(arm.n_shared)
         raw = self._map @ prior.solution
-        n_links, rms = len(arm.base_names), _torques_of_model(arm, prior, model)
-        error_shares = [model.torque_errors.get(i + 1, 0.0) for i in range(arm.n_joints)]
-        errors = np.maximum(error_shares, _MIN_ERROR_SHARE) * rms
-        speed = np.sqrt(np.mean(model.motion[1] ** 2, axis=0))
-        period = _ROWS_PER_CUTOFF * prior.bandwidth_hz * per_row * sample_time
-        rows_per_block = max(1, round(window * _ROWS_PER_CUTOFF * prior.bandwidth_hz / _BLOCKS))
-        self._friction_stds = _friction_stds(arm, prior, rms, speed)
-        voltage = [joint.torque_per_volt is not None for joint in arm.joints]
-        decay = [
-            float(np.exp(-2.0 * np.pi * joint.current_loop_hz * sample_time))
-            if joint.current_loop_hz and is_voltage
-            else 0.0
-            for joint, is_voltage in zip(arm.joints, voltage, strict=True)
-        ]
-        corrections = {ZERO: np.zeros(arm.n_joints), TORSION: prior.compliance.copy()}
-        for term in prior.friction_terms:
-            if term.effect in corrections and term.joint is not None:
-                corrections[term.effect][term.joint - 1] += term.size.value or 0.0
+        n_links = len(arm.base_names)
+        levels = _levels(arm, prior, model)
+        self._friction_stds = levels.friction_stds
+        self._unknown_variances = levels.unknown_variances
+        rows_per_s = 1.0 / (per_row * sample_time)
+        zero, delay, compliance = _corrections(arm, prior)
         self._core = _core.LoadStream(
             arm.core,
             chain=None
@@ -137,7 +117,7 @@ class LoadStream:
                 _MOTION_BANDWIDTHS * prior.bandwidth_hz, _MAX_POLE_SHARE / sample_time
             ),
             samples_per_row=per_row,
-            rows_per_block=max(1, round(rows_per_block / period)),
+            rows_per_block=max(1, round(window * rows_per_s / _BLOCKS)),
             blocks=_BLOCKS,
             transmission=np.array(arm.transmission),
             inverse=np.linalg.inv(arm.transmission),
@@ -146,12 +126,13 @@ class LoadStream:
             friction=np.ascontiguousarray(arm.joint_friction(prior.solution)),
             shared=list(zip(arm.shared_links, raw[n_links + arm.n_joints :].tolist(), strict=True)),
             terms=_laws(prior.friction_terms),
-            compliance=corrections[TORSION].tolist(),
-            zero=arm.motor_accelerations(corrections[ZERO]).tolist(),
+            compliance=compliance.tolist(),
+            zero=arm.motor_accelerations(zero).tolist(),
             per_command=arm.torque_per_volt.tolist(),
-            decay=decay,
-            slow=np.where(speed > 0.0, _SLOW_SHARE * speed, np.inf).tolist(),
-            weight=(1.0 / errors).tolist(),
+            decay=[_decay(joint, sample_time) for joint in arm.joints],
+            delay=(delay / sample_time).tolist(),
+            slow=levels.slow.tolist(),
+            weight=(1.0 / levels.errors).tolist(),
         )
 
     def update(self, angle: ArrayLike, torque: ArrayLike) -> None:
@@ -183,7 +164,7 @@ class LoadStream:
             return fit
         halves = slice(middle), slice(middle, None)
         first, second = (self._fit(factors[part], products[part]) for part in halves)
-        return replace(fit, shift=shift_of(first, second))
+        return replace(fit, shift=shift_of(first, second, np.zeros(N_PARAMETERS)))
 
     def _fit(self, factors: FloatArray, products: FloatArray) -> LoadFit:
         """Estimate and covariance of some blocks."""
@@ -213,7 +194,7 @@ class LoadStream:
             value=value[at],
             covariance=covariance[at, at],
             is_determined=(every.is_resolved & (share < MAX_STD_SHARE_OF_TORQUE))[at],
-            half_width=student_quantile(0.975, count - 1),
+            n_blocks=count,
             shift=0.0,
         )
 
@@ -228,6 +209,95 @@ class LoadStream:
         effect[: len(stds), at] += weights
         of_parameters = prior.covariance + np.diag(self._unknown_variances)
         changes = np.zeros((len(scale), len(stds)))
-        changes[: len(stds)] = weights * friction_changes(arm, prior.solution)
+        changes[: len(stds)] = weights * friction_changes(arm, prior.solution).ravel()
         total = effect @ of_parameters @ effect.T + changes @ changes.T
         return np.asarray(inverse @ total @ inverse)
+
+
+def _solve(rows: FloatArray, n_friction: int) -> _Solution:
+    """Least squares of rows (n_rows, n + 1), within the directions of the load that they resolve.
+
+    Friction comes first and has a prior, so that all of it is resolved.
+    """
+    n = rows.shape[1] - 1
+    R = np.linalg.qr(rows, mode="r")
+    U, s, Vt = singular_values(R[n_friction:n, n_friction:n])
+    kept = s > _MIN_SINGULAR_VALUE * s[0]
+    basis = np.eye(n, n_friction + int(kept.sum()))
+    basis[n_friction:, n_friction:] = Vt[kept].T
+    triangle = R[:n, :n] @ basis
+    triangle = np.vstack([triangle[:n_friction], (U.T @ triangle[n_friction:])[kept]])
+    right = np.concatenate([R[:n_friction, -1], (U.T @ R[n_friction:n, -1])[kept]])
+    root = basis @ np.linalg.inv(triangle)
+    is_resolved = np.ones(n, dtype=bool)
+    is_resolved[n_friction:] = np.all(np.abs(Vt[~kept]) < _MIN_DIRECTION, axis=0)
+    return _Solution(root @ right, root @ root.T, is_resolved)
+
+
+@dataclass(frozen=True, slots=True)
+class _Levels:
+    """Sizes of torques and speeds of the identified motion."""
+
+    errors: FloatArray  # (n_joints,) [N m] of the model
+    slow: FloatArray  # (n_joints,) [rad/s] below which a motor may stick
+    friction_stds: FloatArray  # (3 n_joints,) of the prior of friction
+    unknown_variances: FloatArray  # (n_parameters,) of parameters that are not determined
+
+
+def _levels(arm: Arm, prior: ArmPrior, model: RigidModel) -> _Levels:
+    """Sizes from the samples of the motion in the model."""
+    angle, velocity, acceleration = model.motion
+    regressor = arm.rigid_regressor(*(arm.links_of(x) for x in (angle, velocity, acceleration)))
+    viscous, coulomb, offset = arm.joint_friction(prior.solution).T
+    friction = viscous * velocity + coulomb * np.sign(velocity) + offset
+    torque = np.sqrt(np.mean((regressor @ prior.solution[: arm.n_body] + friction) ** 2, axis=0))
+    shares = np.array([model.torque_errors.get(i + 1, 0.0) for i in range(arm.n_joints)])
+    speed = np.sqrt(np.mean(velocity**2, axis=0))
+    with np.errstate(divide="ignore"):
+        sizes = np.sqrt(np.mean(regressor**2, axis=(0, 1)))
+        unknown = np.where(sizes > 0.0, UNKNOWN_STDS * np.sqrt(np.mean(torque**2)) / sizes, 0.0)
+        unknown_friction = np.column_stack([torque / speed, torque, torque])
+    n, stop = arm.n_body, arm.n_body + unknown_friction.size
+    variances = np.zeros(len(prior.solution))
+    variances[:n] = np.where(prior.is_determined[:n], 0.0, unknown**2)
+    friction_stds = np.hypot(
+        friction_changes(arm, prior.solution).ravel(), np.sqrt(np.diag(prior.covariance)[n:stop])
+    )
+    is_known = prior.is_determined[n:stop] & (friction_stds > 0.0)
+    return _Levels(
+        errors=np.maximum(shares, _MIN_ERROR_SHARE) * torque,
+        slow=np.where(speed > 0.0, _SLOW_SHARE * speed, np.inf),
+        friction_stds=np.where(is_known, friction_stds, UNKNOWN_STDS * unknown_friction.ravel()),
+        unknown_variances=variances,
+    )
+
+
+def _decay(joint: Joint, sample_time: float) -> float:
+    """Decay of a current loop over a sample; zero for torques and drives without one."""
+    if joint.torque_per_volt is None or not joint.current_loop_hz:
+        return 0.0
+    return float(np.exp(-2.0 * np.pi * joint.current_loop_hz * sample_time))
+
+
+def _corrections(arm: Arm, prior: ArmPrior) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Encoder zeros of the links, delays [s] of the torques, compliances: each (n_joints,)."""
+    zero, delay, compliance = (
+        np.zeros(arm.n_joints),
+        np.zeros(arm.n_joints),
+        prior.compliance.copy(),
+    )
+    for effect, values in ((ZERO, zero), (DELAY, delay), (TORSION, compliance)):
+        for term in prior.friction_terms:
+            if term.effect == effect:
+                at = slice(None) if term.joint is None else term.joint - 1
+                values[at] += term.size.value or 0.0
+    return zero, delay, compliance
+
+
+def _laws(terms: Sequence[FrictionTerm]) -> list[tuple[str, int, float, float]]:
+    """Further friction and springs as the core has them."""
+    return [
+        (term.effect, term.joint - 1, term.shape, term.size.value)
+        for term in terms
+        if term.effect not in CORRECTIONS and term.joint is not None and term.size.value is not None
+    ]

@@ -16,13 +16,14 @@ HUBER_LIMIT_STDS = 4.0
 """Huber limit, in standard deviations. It reduces the influence of gross errors only. A lower limit
 would cut the heavy tails of friction residuals on one side of each velocity reversal."""
 
+MAX_STD_SHARE_OF_TORQUE = 0.3
+"""Largest standard deviation of an identifiable parameter, as a share of the total torque."""
+
 PRIOR_GROUP = -1
 """Group of rows with prior knowledge, each divided by its standard deviation."""
 
 # smallest ratio of a singular value to the noise of the regressor
 _MIN_SINGULAR_VALUE_TO_NOISE = 3.0
-# Largest standard deviation of an identifiable parameter, as a share of the total torque.
-_MAX_STD_SHARE_OF_TORQUE = 0.3
 # Smallest share of its error that remains in a residual used for the scale estimate.
 _MIN_RESIDUAL_SHARE = 0.2
 # Smallest component of a unit vector for which a parameter belongs to a direction.
@@ -351,7 +352,7 @@ def determined(equations: Equations, factor: Factor, covariance: FloatArray) -> 
     is_identifiable = (unidentifiable < _MIN_DIRECTION_COMPONENT).all(axis=0)
     torque = np.linalg.norm(factor.root * equations.target)
     torque_std = np.sqrt(np.clip(np.diag(covariance), 0.0, None)) * factor.scale
-    return np.asarray(is_identifiable & (torque_std < _MAX_STD_SHARE_OF_TORQUE * torque))
+    return np.asarray(is_identifiable & (torque_std < MAX_STD_SHARE_OF_TORQUE * torque))
 
 
 def companions(factor: Factor, unknown: int) -> list[int]:
