@@ -61,6 +61,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
     from strainwave.export import IdentifiedArm
+    from strainwave.pipeline.payload_stream import PayloadStream
     from strainwave.report.document import FigureKind
     from strainwave.tune.design import ServoDesign, ServoOptions
 
@@ -676,6 +677,25 @@ class Result:
             identified=identified,
             data=data,
             progress=progress,
+        )
+
+    def payload_stream(self, *, sample_time: float, window: float = 10.0) -> PayloadStream:
+        """A stream that estimates the load from samples in a loop, as `payload` does from records.
+
+        `sample_time` [s] is the period of the samples, `window` [s] the time of motion whose
+        samples count. `update(angle, torque)` takes one sample, `estimate` is the load so far.
+        Raises `InvalidInput` if the samples are too slow for the arm's model, and `NotIdentifiable`
+        if the arm is not determined.
+        """
+        from strainwave.pipeline.payload_stream import PayloadStream
+
+        identified = None if self.run is None else self.run.study
+        return PayloadStream(
+            self._document,
+            self.source,
+            identified=identified,
+            sample_time=sample_time,
+            window=window,
         )
 
     def plot(

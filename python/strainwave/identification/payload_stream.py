@@ -45,8 +45,9 @@ _ROWS_PER_CUTOFF = 4.0  # rows per period of the bandwidth, as for records
 # The equations are nonlinear in the motion, which keeps a higher bandwidth, as in records.
 _MOTION_BANDWIDTHS = 8.0
 _MAX_POLE_SHARE = 0.1  # of the sampling rate: largest frequency of the low-pass of the motion
-# of the identified motion's rms velocity, below which a joint may stick
-_SLOW_SHARE = 0.02
+# Of the rms velocity of the identified motion, below which the direction of friction is uncertain:
+# of 0.001 to 0.1, the largest has the smallest errors.
+_SLOW_SHARE = 0.1
 _MIN_ERROR_SHARE = 1e-3  # smallest error of the torques of a joint over their rms value
 _MIN_DIRECTION = 0.1  # component of a direction from which a parameter belongs to it
 _MIN_SINGULAR_VALUE = 1e-8  # of a direction that the equations determine beyond rounding errors

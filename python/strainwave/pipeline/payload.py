@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -31,7 +31,7 @@ from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NotIdentifiable
 from strainwave.export.source import IdentifiedArm, arm_of
 from strainwave.identification import load_quantities as quantities
-from strainwave.identification.payload import ArmPrior, fit_load, prior_of
+from strainwave.identification.payload import ArmPrior, LoadFit, fit_load, prior_of
 from strainwave.io import results
 from strainwave.io.logs import read_logs
 from strainwave.io.logs.arrays import Data
@@ -62,6 +62,47 @@ def estimate_payload(
     constants. Raises InvalidInput if the study is not of this arm or a log is at fault, and
     NotIdentifiable if the arm or the load is not determined.
     """
+    known = known_arm(document, source, identified)
+    arm = known.arm
+    _require_same_arm(study, arm)
+    with one_blas_thread():
+        progress("reading the logs")
+        logs = _read(study, arm, data)
+        stated = _stated_payload([log.experiment for log in logs], study)
+        usable, warnings = hygiene.repair_records(logs, arm)
+        if not usable:
+            causes = "; ".join(dict.fromkeys(f"{w.where}: {w.observation}" for w in warnings))
+            raise InvalidInput(
+                f"no record is usable ({causes})",
+                where=str(study.path),
+                remedy="correct the sensor or its cable, and record again",
+            )
+        progress("estimating the load")
+        signals = _prepare(usable, arm, known.prior, known.model)
+        fit = fit_load(signals, arm, known.prior)
+    warnings = (
+        *(warning for log in logs for warning in log.warnings),
+        *warnings,
+        *(warning for each in signals for warning in each.warnings),
+    )
+    records = tuple(each.experiment.name for each in signals)
+    return estimate_of(known, fit, study, records, warnings, stated)
+
+
+@dataclass(frozen=True, slots=True)
+class KnownArm:
+    """An identified arm whose load is estimated."""
+
+    arm: Arm
+    model: RigidModel
+    prior: ArmPrior
+    gain_error: float  # relative, of identified torque constants
+    study: Study  # of the identification
+    source: Path  # of the result
+
+
+def known_arm(document: Mapping[str, Any], source: Path, identified: Study | None) -> KnownArm:
+    """The arm of a result. Raises InvalidInput without a rigid model of it."""
     found = arm_of(document, source, identified=identified)
     model = found.rigid
     if model is None:
@@ -76,39 +117,30 @@ def estimate_payload(
         file = str(found.study.path.parent / described.urdf.file)
         described = replace(described, urdf=replace(described.urdf, file=file))
     arm = Arm.of(described)
-    _require_same_arm(study, arm)
-    with one_blas_thread():
-        progress("reading the logs")
-        logs = _read(study, arm, data)
-        stated = _stated_payload([log.experiment for log in logs], study)
-        prior = _prior(found, arm, document, model)
-        usable, warnings = hygiene.repair_records(logs, arm)
-        if not usable:
-            causes = "; ".join(dict.fromkeys(f"{w.where}: {w.observation}" for w in warnings))
-            raise InvalidInput(
-                f"no record is usable ({causes})",
-                where=str(study.path),
-                remedy="correct the sensor or its cable, and record again",
-            )
-        progress("estimating the load")
-        signals = _prepare(usable, arm, prior, model)
-        fit = quantities.with_gain_errors(fit_load(signals, arm, prior), _gain_error(found))
+    prior = _prior(found, arm, document, model)
+    return KnownArm(arm, model, prior, _gain_error(found), found.study, source)
+
+
+def estimate_of(
+    known: KnownArm,
+    fit: LoadFit,
+    study: Study,
+    records: tuple[str, ...],
+    warnings: Sequence[Diagnostic] = (),
+    stated: Payload | None = None,
+) -> PayloadEstimate:
+    """The record of a load with all warnings."""
+    fit = quantities.with_gain_errors(fit, known.gain_error)
     estimate = quantities.quantities_of(fit)
+    of_bodies = known.arm.rigid_columns[: known.arm.n_body]
     missing = tuple(
         column.label
-        for column, is_known in zip(
-            arm.rigid_columns[: arm.n_body], prior.is_determined, strict=False
-        )
+        for column, is_known in zip(of_bodies, known.prior.is_determined, strict=False)
         if not is_known
     )
-    warnings = (
-        *(warning for log in logs for warning in log.warnings),
-        *warnings,
-        *(warning for each in signals for warning in each.warnings),
-        *quantities.warnings_of(fit, estimate),
-    )
+    warnings = (*warnings, *quantities.warnings_of(fit, estimate))
     if missing:
-        place = Place(file=str(source))
+        place = Place(file=str(known.source))
         warnings = (*warnings, Diagnostic("arm-undetermined", place, names=missing))
     scale = None
     if stated is not None:
@@ -123,10 +155,10 @@ def estimate_payload(
         covariance=fit.covariance,
         body=body if is_load else None,
         assumed=assumed if is_load else (),
-        records=tuple(each.experiment.name for each in signals),
+        records=records,
         warnings=merge_by_cause(dict.fromkeys(warnings)),
-        study=replace(study, arm=described),
-        result=source,
+        study=replace(study, arm=known.arm),
+        result=known.source,
         stated=stated,
         torque_scale=scale,
     )
