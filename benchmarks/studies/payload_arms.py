@@ -5,7 +5,7 @@ signals, and with rigid joints and joint torque sensors, are identified from the
 10 s without a load. Then they carry a load of 0.1 to 30 % of what they can carry for 10 s, with dry
 and viscous friction changed by up to 10 %. Printed are the errors and the coverage of 95 %
 intervals by parameter. Elastic arms of up to three joints are identified by all stages, longer ones
-by the rigid stage.
+by the rigid stage. The same samples one by one give the load by a stream.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ from strainwave.domain.keys import Values
 from strainwave.domain.study import Channel
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, Trajectory
-from strainwave.io.logs import write_log
-from strainwave.io.study import write_study
+from strainwave.io.logs import read_logs, write_log
+from strainwave.io.study import read_study, write_study
 from strainwave.pipeline import STAGES
 from strainwave.virtual.experiments import default_plan, record_experiment
 
@@ -204,9 +204,24 @@ def evaluate(seed: int, folder: Path) -> dict[str, Any]:
         result, begin = sw.read_result(place / "result.json"), time.process_time()
         estimate = result.payload(place / "load.toml")
         head["cpu"] = time.process_time() - begin
-        return head | {"parameters": _errors(estimate, case.load)}
+        head["parameters"] = _errors(estimate, case.load)
+        return head | {"stream": _errors(_by_stream(result, place / "load.toml"), case.load)}
     except Exception as failure:  # counted, so that the other arms run
         return head | {"failure": f"{type(failure).__name__}: {failure}"}
+
+
+def _by_stream(result: sw.Result, path: Path) -> PayloadEstimate:
+    """The load by a stream of the samples of a record."""
+    (log,) = read_logs(read_study(path))
+    kind = next(kind for kind in ("tau_l", "torque", "u") if f"{kind}1" in log.channels)
+    numbers = range(1, sum(name.startswith("theta_m") for name in log.channels) + 1)
+    angles, torques = (
+        np.column_stack([log.channels[f"{name}{i}"] for i in numbers]) for name in ("theta_m", kind)
+    )
+    stream = result.payload_stream(sample_time=log.sample_time)
+    for angle, torque in zip(angles, torques, strict=True):
+        stream.update(angle, torque)
+    return stream.estimate
 
 
 def _errors(estimate: PayloadEstimate, load: FloatArray) -> dict[str, dict[str, Any]]:
@@ -230,12 +245,13 @@ def is_within(name: str, row: dict[str, Any]) -> bool:
     return bool(abs(row["error"]) <= max(permitted, _STDS * row["std"]))
 
 
-def tabulate(results: Sequence[dict[str, Any]]) -> list[Table]:
-    """Coverage by parameter, and errors by kind of arm."""
+def tabulate(results: Sequence[dict[str, Any]], key: str) -> list[Table]:
+    """Coverage by parameter, and errors by kind of arm; `key` is "parameters" or "stream"."""
     done = [result for result in results if "failure" not in result]
-    by_parameter = Table("parameter", "values", "inside", "rms error/std", "median std", box=None)
+    heads = ("parameter", "values", "inside", "rms error/std", "median std")
+    by_parameter = Table(*heads, box=None, title="stream" if key == "stream" else "record")
     for name in PARAMETERS:
-        rows = [r["parameters"][name] for r in done if name in r["parameters"]]
+        rows = [r[key][name] for r in done if name in r[key]]
         if rows:
             error, std, size = (
                 np.array([row[k] for row in rows]) for k in ("error", "std", "size")
@@ -256,7 +272,7 @@ def tabulate(results: Sequence[dict[str, Any]]) -> list[Table]:
     by_kind = Table(*heads, box=None)
     for kind in (*KINDS, ""):
         group = [r for r in done if kind in ("", r["kind"])]
-        every = [(name, row) for r in group for name, row in r["parameters"].items()]
+        every = [(name, row) for r in group for name, row in r[key].items()]
         if not every:
             continue
         masses, centres = (
@@ -294,8 +310,9 @@ def main() -> None:
         text = f"arm {result['seed']}, {result['kind']}, {result['joints']} joints: "
         wrong = [name for name, row in result.get("parameters", {}).items() if not row["inside"]]
         console.print(text + result.get("failure", f"outside {', '.join(wrong) or 'none'}"))
-    for table in tabulate(results):
-        console.print(table)
+    for key in ("parameters", "stream"):
+        for table in tabulate(results, key):
+            console.print(table)
 
 
 if __name__ == "__main__":
