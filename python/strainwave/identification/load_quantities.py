@@ -177,8 +177,13 @@ def compare_with_stated(fit: LoadFit, stated: Payload) -> ScaleCheck:
     return ScaleCheck(Quantity(1.0 / s, std / s**2, interval, ""), is_explained)
 
 
-def warnings_of(fit: LoadFit, quantities: LoadQuantities) -> tuple[Diagnostic, ...]:
-    """Warnings on an estimate: load not seen or moved, members without value, torque scale."""
+def warnings_of(
+    fit: LoadFit, quantities: LoadQuantities, *, scale_is_known: bool
+) -> tuple[Diagnostic, ...]:
+    """Warnings on an estimate: load not seen or moved, members without value, torque scale.
+
+    `scale_is_known`: a known load has given the torque constants, or is compared with this one.
+    """
     warnings = []
     mass, at = quantities.mass, np.flatnonzero(fit.is_determined[:4])
     seen = 0.0
@@ -198,7 +203,7 @@ def warnings_of(fit: LoadFit, quantities: LoadQuantities) -> tuple[Diagnostic, .
     if fit.shift > 1.0:
         warnings.append(Diagnostic("load-moved", _LOAD, ratio=fit.shift))
     warnings += _without_value(fit, quantities)
-    if mass is not None and mass.ci95[0] > 0.0:
+    if mass is not None and mass.ci95[0] > 0.0 and not scale_is_known:
         of_scale = _TORQUE_CONSTANT_TOLERANCE * mass.value
         share = of_scale**2 / (of_scale**2 + mass.std**2)
         if share > 0.5:

@@ -54,8 +54,8 @@ N_PARAMETERS = 10
 
 _MAX_ITERATIONS = 12
 _TOLERANCE = 0.02  # change in standard deviations for white errors, as in the rigid step
-# friction changes with temperature and time: prior standard deviation relative to its values
-_FRICTION_CHANGE = 0.1
+# friction of gears falls by a third from cold to warm: prior standard deviation over its values
+_FRICTION_CHANGE = 0.3
 _UNKNOWN_STDS = 10.0  # prior standard deviation of an undetermined parameter, over its torque
 _BANDWIDTH_RATIOS = (2.0**-0.5, 2.0**0.5)  # at which the change of the estimate shows model errors
 _GUESSED_RADIUS = 0.05  # [m] radius of gyration of the load to which the consistent one is nearest

@@ -92,7 +92,8 @@ def estimate_payload(
             )
         progress("estimating the load")
         signals = _prepare(usable, arm, prior, model)
-        fit = quantities.with_gain_errors(fit_load(signals, arm, prior), _gain_error(found))
+        gain_error = _gain_error(found)
+        fit = quantities.with_gain_errors(fit_load(signals, arm, prior), gain_error)
     estimate = quantities.quantities_of(fit)
     missing = tuple(
         column.label
@@ -105,7 +106,9 @@ def estimate_payload(
         *(warning for log in logs for warning in log.warnings),
         *warnings,
         *(warning for each in signals for warning in each.warnings),
-        *quantities.warnings_of(fit, estimate),
+        *quantities.warnings_of(
+            fit, estimate, scale_is_known=gain_error > 0.0 or stated is not None
+        ),
     )
     if missing:
         place = Place(file=str(source))
