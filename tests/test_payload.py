@@ -15,6 +15,7 @@ import strainwave as sw
 from command_line import run_here
 from strainwave.domain import (
     ArmDescription,
+    Control,
     Experiment,
     FloatArray,
     Joint,
@@ -28,7 +29,7 @@ from strainwave.io.logs import write_log
 from strainwave.io.study import write_study
 
 LOAD = records.LOAD
-SERVOS = ("servo", "servo", "servo")
+SERVOS: tuple[Control, ...] = ("servo", "servo", "servo")
 MOTION = records.Motion(3)
 Columns = dict[str, FloatArray]
 
@@ -286,8 +287,12 @@ def test_records_that_cannot_show_the_load_are_refused(result: sw.Result, carrie
 def standing(columns: Columns) -> Columns:
     """The record of motors that stand, with the noise of their encoders."""
     rng, count = np.random.default_rng(0), 2.0 * np.pi / 8192
-    angles = {k: count * rng.integers(0, 2, len(x)) for k, x in columns.items()}
-    return columns | {k: x for k, x in angles.items() if k.startswith("theta")}
+    angles: Columns = {
+        k: count * rng.integers(0, 2, len(x)).astype(np.float64)
+        for k, x in columns.items()
+        if k.startswith("theta")
+    }
+    return columns | angles
 
 
 def test_records_with_different_stated_payloads_are_refused(
