@@ -122,7 +122,9 @@ def test_one_factor_turns_the_estimated_load_into_the_stated_one() -> None:
     assert scale.ci95[0] < 1.07 < scale.ci95[1]
     assert check.is_explained
     elsewhere = Payload(1.5, (0.05, -0.02, 0.2))
-    assert not load_quantities.compare_with_stated(fit_of(BODY), elsewhere).is_explained
+    check = load_quantities.compare_with_stated(fit_of(BODY / 1.07), elsewhere)
+    assert not check.is_explained
+    assert known(check.scale).value == pytest.approx(1.07)  # of the mass
     unseen = fit_of(np.zeros(10), np.eye(10))
     assert load_quantities.compare_with_stated(unseen, stated).scale is None
 
