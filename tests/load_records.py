@@ -6,7 +6,7 @@ tau_i = sum over bodies of m (a - g) . dv/d(dq_i) + (I dw + w x I w) . dw/d(dq_i
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -45,10 +45,7 @@ def arm(gravity: tuple[float, float, float] | None = GRAVITY, **joint: Any) -> A
         Origin((0.06, 0.0, 0.1), TURNED),
         Origin((0.4, 0.0, -0.05), (0.3, 0.5, 0.1)),
     )
-    joints = tuple(
-        Joint(**({"spring": "rigid", "gear_ratio": RATIO, "origin": origin} | joint))
-        for origin in origins
-    )
+    joints = tuple(replace(Joint("rigid", RATIO, origin=origin), **joint) for origin in origins)
     return ArmDescription("serial", joints, gravity)
 
 
@@ -56,13 +53,13 @@ def study(folder: Path, *names: str, **changes: Any) -> Study:
     """A study whose motion records are passed in memory."""
     control = ("servo", "servo", "servo")
     records = tuple(Experiment(name, "", "motion", control) for name in names)  # type: ignore[arg-type]
-    given = {"arm": arm(), "experiments": records, "path": folder / "study.toml"}
-    return Study(**(given | changes))
+    given = Study(arm=arm(), experiments=records, path=folder / "study.toml")
+    return replace(given, **changes)
 
 
 @dataclass(frozen=True)
 class Motion:
-    """Sums of sines that begin at rest."""
+    """sums of sines."""
 
     seed: int = 0
     size: float = 1.0
@@ -73,7 +70,8 @@ class Motion:
     def angles(self) -> tuple[FloatArray, list[FloatArray]]:
         """Time, and angle, velocity, acceleration of the links (n_samples, 3)."""
         rng = np.random.default_rng(self.seed)
-        time = SAMPLE_TIME * np.arange(round(self.duration / SAMPLE_TIME))
+        n = round(self.duration / SAMPLE_TIME)
+        time = SAMPLE_TIME * np.arange(n, dtype=np.float64)
         w = 2.0 * np.pi * np.array(self.frequencies)
         phase = w * time[:, None]
         a, b = self.size * rng.normal(size=(2, len(w), 3)) / (1.0 + 2.0 * w[:, None]) * 1.2
@@ -145,12 +143,12 @@ def record(
     rng = np.random.default_rng(noise_seed)
     time, whole = motion.angles()
     q, dq, ddq = (x[:, : described.n_joints] for x in whole)
-    links = link_torques(described, bodies, q, dq, ddq)
+    carried = link_torques(described, bodies, q, dq, ddq)
     columns = {"t": time}
     for i, joint in enumerate(described.joints):
         n, (inertia, viscous, coulomb, offset) = joint.gear_ratio, MOTORS[i]
         velocity = dq[:, i] / n
-        torque = n * links[:, i] + inertia * ddq[:, i] / n + viscous * velocity + offset
+        torque = n * carried[:, i] + inertia * ddq[:, i] / n + viscous * velocity + offset
         torque += coulomb * np.tanh(velocity / 0.05)
         count = 2.0 * np.pi / 8192
         columns[f"theta_m{i + 1}"] = count * np.round(q[:, i] / n / count)

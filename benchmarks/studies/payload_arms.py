@@ -302,10 +302,11 @@ def main() -> None:
         default=Path("build/payload-arms"),
         help="of logs and results, which a repeated run uses again",
     )
+    parser.add_argument("--out", type=Path, help="lines of JSON; a repeated run continues")
     options = parser.parse_args()
     console, results = Console(width=140), []
     work = partial(evaluate, folder=options.folder)
-    for result in run_all(range(options.arms), work, None, options.at_once):
+    for result in run_all(range(options.arms), work, options.out, options.at_once):
         results.append(result)
         text = f"arm {result['seed']}, {result['kind']}, {result['joints']} joints: "
         wrong = [name for name, row in result.get("parameters", {}).items() if not row["inside"]]

@@ -8,6 +8,7 @@ import re
 import tomllib
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -56,8 +57,8 @@ def test_texts_read_back_to_the_load(
     mass, centre, inertia = body
     texts = payload_exports(estimate_of(*body))
 
-    def assert_equal(actual: object, expected: object) -> None:
-        np.testing.assert_allclose(actual, expected, rtol=PRECISION, atol=1e-9)  # type: ignore[arg-type]
+    def assert_equal(actual: Any, expected: Any) -> None:
+        np.testing.assert_allclose(actual, expected, rtol=PRECISION, atol=1e-9)
 
     m, cog, moments = ast.literal_eval(
         texts["ur_set_target_payload"].removeprefix("set_target_payload")

@@ -10,6 +10,8 @@ import numpy as np
 from strainwave.domain import (
     BoolArray,
     Diagnostic,
+    FloatArray,
+    IntArray,
     LinkPrior,
     LoadQuantities,
     Payload,
@@ -160,25 +162,40 @@ def compare_with_stated(fit: LoadFit, stated: Payload) -> ScaleCheck:
     """The factor on all torques with which the estimated load is the stated one.
 
     Mass and first moments a = s p + e with the stated p, Cov e = C: the torques are stated too
-    large by s, so the true torque is 1/s of the stated one.
+    large by s, so the true torque is 1/s of the stated one. If no s explains all of them, that of
+    the mass alone is returned, which the place of the load does not change.
     """
     at = np.flatnonzero(fit.is_determined[:4])
-    p, a = np.array(stated.parameters)[at], fit.value[at]
-    if not p.any():
-        return ScaleCheck(None, is_explained=True)
-    weight = np.linalg.inv(fit.covariance[np.ix_(at, at)])
-    s, std = float(p @ weight @ a / (p @ weight @ p)), float((p @ weight @ p) ** -0.5)
-    rest, reach = a - s * p, fit.half_width * std
-    limit = chi_square_limit(_CONTRADICTED_LEVEL, max(1, len(at) - 1))
-    is_explained = len(at) == 1 or float(rest @ weight @ rest) <= limit
-    if s <= reach:
+    p, limit = np.array(stated.parameters), chi_square_limit(_CONTRADICTED_LEVEL, len(at) - 1 or 1)
+    s, std, distance = _factor(fit, p, at)
+    is_explained = distance <= limit
+    if not is_explained and fit.is_determined[_MASS]:
+        s, std, _ = _factor(fit, p, at[:1])
+    reach = fit.half_width * std
+    if not s > reach:
         return ScaleCheck(None, is_explained)
     interval = (1.0 / (s + reach), 1.0 / (s - reach))
     return ScaleCheck(Quantity(1.0 / s, std / s**2, interval, ""), is_explained)
 
 
-def warnings_of(fit: LoadFit, quantities: LoadQuantities) -> tuple[Diagnostic, ...]:
-    """Warnings on an estimate: load not seen or moved, members without value, torque scale."""
+def _factor(fit: LoadFit, p: FloatArray, at: IntArray) -> tuple[float, float, float]:
+    """s of a = s p + e, its standard deviation, and the squared distance that is left."""
+    p, a = p[at], fit.value[at]
+    if not p.any():
+        return 0.0, 0.0, 0.0
+    weight = np.linalg.inv(fit.covariance[np.ix_(at, at)])
+    s, std = float(p @ weight @ a / (p @ weight @ p)), float((p @ weight @ p) ** -0.5)
+    rest = a - s * p
+    return s, std, float(rest @ weight @ rest)
+
+
+def warnings_of(
+    fit: LoadFit, quantities: LoadQuantities, *, scale_is_known: bool
+) -> tuple[Diagnostic, ...]:
+    """Warnings on an estimate: load not seen or moved, members without value, torque scale.
+
+    `scale_is_known`: a known load has given the torque constants, or is compared with this one.
+    """
     warnings = []
     mass, at = quantities.mass, np.flatnonzero(fit.is_determined[:4])
     seen = 0.0
@@ -198,7 +215,7 @@ def warnings_of(fit: LoadFit, quantities: LoadQuantities) -> tuple[Diagnostic, .
     if fit.shift > 1.0:
         warnings.append(Diagnostic("load-moved", _LOAD, ratio=fit.shift))
     warnings += _without_value(fit, quantities)
-    if mass is not None and mass.ci95[0] > 0.0:
+    if mass is not None and mass.ci95[0] > 0.0 and not scale_is_known:
         of_scale = _TORQUE_CONSTANT_TOLERANCE * mass.value
         share = of_scale**2 / (of_scale**2 + mass.std**2)
         if share > 0.5:

@@ -35,6 +35,7 @@ from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.rigid_prediction import CORRECTIONS, corrected_signals
 from strainwave.errors import NotIdentifiable
 from strainwave.identification.rigid.equations import (
+    JACKKNIFE_BLOCKS,
     Estimate,
     FurtherTerm,
     MotorShares,
@@ -54,8 +55,8 @@ N_PARAMETERS = 10
 
 _MAX_ITERATIONS = 12
 _TOLERANCE = 0.02  # change in standard deviations for white errors, as in the rigid step
-# friction changes with temperature and time: prior standard deviation relative to its values
-_FRICTION_CHANGE = 0.1
+# friction of gears falls by a third from cold to warm: prior standard deviation over its values
+_FRICTION_CHANGE = 0.3
 UNKNOWN_STDS = 10.0  # prior standard deviation of an undetermined parameter, over its torque
 _BANDWIDTH_RATIOS = (2.0**-0.5, 2.0**0.5)  # at which the change of the estimate shows model errors
 _GUESSED_RADIUS = 0.05  # [m] radius of gyration of the load to which the consistent one is nearest
@@ -361,7 +362,7 @@ def _spread(equations: ls.Equations, prior: ArmPrior, arm: Arm) -> FloatArray:
     """
     scale = np.sqrt(np.diag(prior.covariance))
     unit = np.where(scale > 0.0, scale, 1.0)
-    sizes, directions = np.linalg.eigh(prior.covariance / np.outer(unit, unit))
+    sizes, directions = np.linalg.eigh(_shrunk(prior.covariance / np.outer(unit, unit)))
     identified = unit[:, None] * directions * np.sqrt(np.clip(sizes, 0.0, None))
     stop = arm.n_body + FRICTION_COLUMNS * arm.n_joints
     friction = np.zeros_like(prior.solution)
@@ -373,6 +374,23 @@ def _spread(equations: ls.Equations, prior: ArmPrior, arm: Arm) -> FloatArray:
     columns = [identified, np.diag(friction), np.diag(unknown)]
     spread = np.concatenate(columns, axis=1)
     return np.asarray(spread[:, np.any(spread != 0.0, axis=0)])
+
+
+def _shrunk(correlations: FloatArray) -> FloatArray:
+    """Correlations of a jackknife, shrunk towards zero by the share that few blocks explain.
+
+    J. Schafer, K. Strimmer, "A shrinkage approach to large-scale covariance matrix estimation",
+    2005: lambda = sum var(r) / sum r^2, with var(r) = (1 - r^2)^2 / degrees of freedom. The
+    covariance of 70 parameters from 20 blocks has directions without variance by chance, and the
+    estimate of the load would rely on them.
+    """
+    off = ~np.eye(len(correlations), dtype=bool) & (correlations != 0.0)
+    squares = correlations[off] ** 2
+    if not len(squares):
+        return correlations
+    variances = (1.0 - squares) ** 2 / (JACKKNIFE_BLOCKS - 1)
+    share = min(1.0, float(variances.sum() / squares.sum()))
+    return np.where(np.eye(len(correlations), dtype=bool), 1.0, 1.0 - share) * correlations
 
 
 def friction_changes(arm: Arm, solution: FloatArray) -> FloatArray:

@@ -138,7 +138,9 @@ def estimate_of(
         for column, is_known in zip(of_bodies, known.prior.is_determined, strict=False)
         if not is_known
     )
-    warnings = (*warnings, *quantities.warnings_of(fit, estimate))
+    scale_is_known = known.gain_error > 0.0 or stated is not None
+    of_load = quantities.warnings_of(fit, estimate, scale_is_known=scale_is_known)
+    warnings = (*warnings, *of_load)
     if missing:
         place = Place(file=str(known.source))
         warnings = (*warnings, Diagnostic("arm-undetermined", place, names=missing))

@@ -50,6 +50,7 @@ def chi_square_limit(probability: float, degrees: int) -> float:
     return high
 
 
+@lru_cache(maxsize=256)
 def student_quantile(probability: float, degrees: int) -> float:
     """Quantile of Student's t distribution, by bisection.
 

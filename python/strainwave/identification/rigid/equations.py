@@ -31,9 +31,11 @@ from strainwave.identification.rigid.filtered_record import FilteredRecord, n_co
 from strainwave.numerics.filters import differentiate, low_pass
 from strainwave.numerics.least_squares import Equations, Factor, Local
 
+JACKKNIFE_BLOCKS = 20
+"""Blocks of the jackknife over all records."""
+
 # prior standard deviation of the stiction torque in units of f: uniform distribution in [-f, f]
 _STICTION_STD = 0.58
-_JACKKNIFE_BLOCKS = 20  # blocks of the jackknife over all records
 _LOAD_FRICTION_STD = 0.5  # prior standard deviation of the load friction; gears have 0.03 to 0.3
 # prior standard deviations of sizes [rad, m], [s] that have no relation to the torque
 _KNOWN_STDS = {"load-friction": _LOAD_FRICTION_STD, ZERO: 1.0, DELAY: 0.05}
@@ -308,7 +310,7 @@ def blocks_of(stretches: Sequence[FilteredRecord]) -> list[int]:
     total = sum(s.sliding_time for s in stretches)
     if total == 0.0:
         raise NotIdentifiable("no motor slides in any record; record a faster motion")
-    return [max(2, round(_JACKKNIFE_BLOCKS * s.sliding_time / total)) for s in stretches]
+    return [max(2, round(JACKKNIFE_BLOCKS * s.sliding_time / total)) for s in stretches]
 
 
 def slides_both_ways(stretches: Sequence[FilteredRecord]) -> BoolArray:
