@@ -114,6 +114,18 @@ def test_the_body_for_controllers_is_consistent(missing: tuple[int, ...]) -> Non
             assert body[k] / body[0] == pytest.approx(coordinate.value)
 
 
+def test_impossible_inertias_leave_mass_and_centre_to_the_controller() -> None:
+    """Inertias about the centre of -1 kg m^2 with small errors belong to no body."""
+    fit = fit_of(BODY - np.r_[np.zeros(4), 1.0, 0.0, 1.0, 0.0, 0.0, 1.0])
+    quantities = load_quantities.quantities_of(fit)
+    body, _ = load_quantities.body_of(fit, quantities)
+    assert is_consistent(body)
+    assert body[0] == pytest.approx(1.5)
+    np.testing.assert_allclose(body[1:4], 1.5 * CENTRE)
+    warnings = load_quantities.warnings_of(fit, quantities, scale_is_known=True)
+    assert "load-impossible" in {each.code for each in warnings}
+
+
 def test_one_factor_turns_the_estimated_load_into_the_stated_one() -> None:
     stated = Payload(1.5, tuple(CENTRE.tolist()))
     check = load_quantities.compare_with_stated(fit_of(BODY / 1.07), stated)

@@ -20,7 +20,7 @@ from strainwave.domain import (
 )
 from strainwave.domain.arm.consistent_links import standard_parameters
 from strainwave.domain.results.distributions import chi_square_limit
-from strainwave.errors import NotIdentifiable
+from strainwave.errors import NotIdentifiable, NumericalFailure
 from strainwave.identification.payload import N_PARAMETERS, LoadFit, central_parameters
 
 AXES = ("x", "y", "z")
@@ -31,7 +31,7 @@ MAX_CENTRE_HALF_WIDTH = 0.1
 """[m] Half-width of a 95 % interval above which a coordinate of the centre is null. Tools and
 workpieces reach 0.1 to 0.3 m beyond the flange: a wider interval says no more than that."""
 
-_MASS = 0
+_MASS, _N_FIRST = 0, 4  # mass and first moments come before the inertias
 # from the standard parameters xx, xy, yy, xz, yz, zz to `INERTIAS`
 _ORIGIN_ORDER = (4, 5, 7, 6, 8, 9)
 _SEEN_LEVEL = 0.05  # probability with which no load counts as seen
@@ -129,7 +129,12 @@ def body_of(fit: LoadFit, quantities: LoadQuantities) -> tuple[LinkPrior, tuple[
     Mass and coordinates of the centre are the estimates where these are determined. All else is
     that of the nearest consistent body, a compact one where the data say nothing.
     """
-    central, _ = central_parameters(np.array(fit.consistent), np.zeros(N_PARAMETERS))
+    try:
+        nearest = fit.consistent
+    except NumericalFailure:  # inertias of no body beyond their errors
+        known = fit.is_determined & (np.arange(N_PARAMETERS) < _N_FIRST)
+        nearest = replace(fit, is_determined=known).consistent
+    central, _ = central_parameters(np.array(nearest), np.zeros(N_PARAMETERS))
     mass, centre = central[0], central[1:4]
     if quantities.mass is not None:
         mass = quantities.mass.value
@@ -165,7 +170,7 @@ def compare_with_stated(fit: LoadFit, stated: Payload) -> ScaleCheck:
     large by s, so the true torque is 1/s of the stated one. If no s explains all of them, that of
     the mass alone is returned, which the place of the load does not change.
     """
-    at = np.flatnonzero(fit.is_determined[:4])
+    at = np.flatnonzero(fit.is_determined[:_N_FIRST])
     p, limit = np.array(stated.parameters), chi_square_limit(_CONTRADICTED_LEVEL, len(at) - 1 or 1)
     s, std, distance = _factor(fit, p, at)
     is_explained = distance <= limit
@@ -179,7 +184,7 @@ def compare_with_stated(fit: LoadFit, stated: Payload) -> ScaleCheck:
 
 
 def _factor(fit: LoadFit, p: FloatArray, at: IntArray) -> tuple[float, float, float]:
-    """s of a = s p + e, its standard deviation, and the squared distance that is left."""
+    """Factor s of a = s p + e, its standard deviation, and the squared distance that is left."""
     p, a = p[at], fit.value[at]
     if not p.any():
         return 0.0, 0.0, 0.0
@@ -197,7 +202,7 @@ def warnings_of(
     `scale_is_known`: a known load has given the torque constants, or is compared with this one.
     """
     warnings = []
-    mass, at = quantities.mass, np.flatnonzero(fit.is_determined[:4])
+    mass, at = quantities.mass, np.flatnonzero(fit.is_determined[:_N_FIRST])
     seen = 0.0
     if len(at):
         value, covariance = fit.value[at], fit.covariance[np.ix_(at, at)]
@@ -214,6 +219,10 @@ def warnings_of(
         warnings.append(Diagnostic("load-not-seen", _LOAD, "moments"))
     if fit.shift > 1.0:
         warnings.append(Diagnostic("load-moved", _LOAD, ratio=fit.shift))
+    pairs = zip(INERTIAS, quantities.inertia_about_centre, strict=True)
+    negative = (name for name, each in pairs if name[0] == name[1] and each and each.ci95[1] < 0.0)
+    if names := tuple(negative):
+        warnings.append(Diagnostic("load-impossible", _LOAD, names=names))
     warnings += _without_value(fit, quantities)
     if mass is not None and mass.ci95[0] > 0.0 and not scale_is_known:
         of_scale = _TORQUE_CONSTANT_TOLERANCE * mass.value

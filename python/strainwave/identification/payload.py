@@ -184,7 +184,7 @@ def fit_load(signals: Sequence[Signals], arm: Arm, prior: ArmPrior) -> LoadFit:
     excess = excess_variance(best.value, spread)
     covariance = best.covariance + np.diag(np.where(best.is_determined, excess, 0.0))
     parts = [(a, b) for a, b in zip(others[n::2], others[n + 1 :: 2], strict=True) if a and b]
-    shift = max((shift_of(a, b, excess) for a, b in parts), default=0.0)
+    shift = max((_shift(a, b, excess) for a, b in parts), default=0.0)
     return replace(best, covariance=covariance, shift=shift)
 
 
@@ -214,7 +214,7 @@ def _half(signals: Signals, part: int) -> Motion:
     return half, period_of(half)
 
 
-def shift_of(first: LoadFit, second: LoadFit, excess: FloatArray) -> float:
+def _shift(first: LoadFit, second: LoadFit, excess: FloatArray) -> float:
     """Squared distance of mass and first moments of two fits over its limit.
 
     Hotelling's limit: the covariances are those of a few blocks. `excess` (10,) are variances of

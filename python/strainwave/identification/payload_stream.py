@@ -31,7 +31,6 @@ from strainwave.identification.payload import (
     ArmPrior,
     LoadFit,
     friction_changes,
-    shift_of,
 )
 from strainwave.numerics.least_squares import MAX_STD_SHARE_OF_TORQUE
 from strainwave.numerics.linalg import singular_values
@@ -102,10 +101,8 @@ class LoadStream:
             self._map[-arm.n_shared :, -arm.n_shared :] = np.eye(arm.n_shared)
         raw = self._map @ prior.solution
         n_links = len(arm.base_names)
-        levels = _levels(arm, prior, model)
-        self._friction_stds = levels.friction_stds
-        self._unknown_variances = levels.unknown_variances
-        rows_per_s = 1.0 / (per_row * sample_time)
+        self._levels = levels = _levels(arm, prior, model)
+        self._rows_per_block = max(1, round(window / (per_row * sample_time) / _BLOCKS))
         zero, delay, compliance = _corrections(arm, prior)
         self._core = _core.LoadStream(
             arm.core,
@@ -118,7 +115,7 @@ class LoadStream:
                 _MOTION_BANDWIDTHS * prior.bandwidth_hz, _MAX_POLE_SHARE / sample_time
             ),
             samples_per_row=per_row,
-            rows_per_block=max(1, round(window * rows_per_s / _BLOCKS)),
+            rows_per_block=self._rows_per_block,
             blocks=_BLOCKS,
             transmission=np.array(arm.transmission),
             inverse=np.linalg.inv(arm.transmission),
@@ -160,16 +157,11 @@ class LoadStream:
                 f"{len(factors)} of {_BLOCKS} blocks of the window have samples in motion; an "
                 f"estimate needs {_MIN_BLOCKS}"
             )
-        fit, middle = self._fit(factors, products), len(factors) // 2
-        if middle < _MIN_BLOCKS:
-            return fit
-        halves = slice(middle), slice(middle, None)
-        first, second = (self._fit(factors[part], products[part]) for part in halves)
-        return replace(fit, shift=shift_of(first, second, np.zeros(N_PARAMETERS)))
+        return self._fit(factors, products)
 
     def _fit(self, factors: FloatArray, products: FloatArray) -> LoadFit:
         """Estimate and covariance of some blocks."""
-        n, stds = factors.shape[2] - 1, self._friction_stds
+        n, stds = factors.shape[2] - 1, self._levels.friction_stds
         friction = self.arm.joint_friction(self.prior.solution).ravel()
         scale = np.linalg.norm(factors[:, :, :n], axis=(0, 1))
         scale[: len(stds)] = np.hypot(scale[: len(stds)], 1.0 / stds)
@@ -189,7 +181,8 @@ class LoadStream:
         covariance += self._covariance_of_arm(every.inverse, products.sum(axis=0), scale)
         value, covariance = every.value / scale, covariance / np.outer(scale, scale)
         at = slice(len(stds), n)
-        torque = np.linalg.norm(factors[:, :, -1]) + np.linalg.norm(factors[:, :, :n] @ value)
+        # over the torques of the arm's motion, as for records
+        torque = np.sqrt(count * self._rows_per_block) * self._levels.relative_torque
         share = np.sqrt(np.diag(covariance)) * scale / torque
         return LoadFit(
             value=value[at],
@@ -203,12 +196,12 @@ class LoadStream:
         self, inverse: FloatArray, products: FloatArray, scale: FloatArray
     ) -> FloatArray:
         """Covariance of the scaled estimate due to the identified parameters of the arm."""
-        arm, prior, stds = self.arm, self.prior, self._friction_stds
+        arm, prior, stds = self.arm, self.prior, self._levels.friction_stds
         effect = -(products / scale[:, None]) @ self._map
         at = slice(arm.n_body, arm.n_body + len(stds))
         weights = np.diag(1.0 / stds**2) / scale[: len(stds)]
         effect[: len(stds), at] += weights
-        of_parameters = prior.covariance + np.diag(self._unknown_variances)
+        of_parameters = prior.covariance + np.diag(self._levels.unknown_variances)
         changes = np.zeros((len(scale), len(stds)))
         changes[: len(stds)] = weights * friction_changes(arm, prior.solution).ravel()
         total = effect @ of_parameters @ effect.T + changes @ changes.T
@@ -240,6 +233,7 @@ class _Levels:
     """Sizes of torques and speeds of the identified motion."""
 
     errors: FloatArray  # (n_joints,) [N m] of the model
+    relative_torque: float  # of all joints over these errors
     slow: FloatArray  # (n_joints,) [rad/s] below which a motor may stick
     friction_stds: FloatArray  # (3 n_joints,) of the prior of friction
     unknown_variances: FloatArray  # (n_parameters,) of parameters that are not determined
@@ -265,8 +259,10 @@ def _levels(arm: Arm, prior: ArmPrior, model: RigidModel) -> _Levels:
         friction_changes(arm, prior.solution).ravel(), np.sqrt(np.diag(prior.covariance)[n:stop])
     )
     is_known = prior.is_determined[n:stop] & (friction_stds > 0.0)
+    errors = np.maximum(shares, _MIN_ERROR_SHARE) * torque
     return _Levels(
-        errors=np.maximum(shares, _MIN_ERROR_SHARE) * torque,
+        errors=errors,
+        relative_torque=float(np.linalg.norm(torque / errors)),
         slow=np.where(speed > 0.0, _SLOW_SHARE * speed, np.inf),
         friction_stds=np.where(is_known, friction_stds, UNKNOWN_STDS * unknown_friction.ravel()),
         unknown_variances=variances,

@@ -149,14 +149,14 @@ def estimate_of(
         check = quantities.compare_with_stated(fit, stated)
         scale = check.scale
         warnings = (*warnings, *_contradictions(check, stated))
-    body, assumed = quantities.body_of(fit, estimate)
     is_load = estimate.mass is not None and estimate.mass.ci95[0] > 0.0
+    body, assumed = quantities.body_of(fit, estimate) if is_load else (None, ())
     return PayloadEstimate(
         quantities=estimate,
         standard=fit.value,
         covariance=fit.covariance,
-        body=body if is_load else None,
-        assumed=assumed if is_load else (),
+        body=body,
+        assumed=assumed,
         records=records,
         warnings=merge_by_cause(dict.fromkeys(warnings)),
         study=replace(study, arm=known.arm),

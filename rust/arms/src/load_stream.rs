@@ -343,6 +343,11 @@ impl LoadStream {
         let (n, links) = (self.joints, self.settings.links.len());
         let (shared, width) = (self.settings.shared.len(), self.settings.width());
         let count = FRICTION * n + BODY;
+        let filtered = self.equations.values();
+        let mut equations = filtered.chunks_exact(width);
+        if equations.all(|row| row[width - 1] > MAX_STICKING) {
+            return;
+        }
         if self.blocks[self.current].rows == self.settings.rows_per_block || self.is_new {
             self.current = (self.current + 1) % self.blocks.len();
             let block = &mut self.blocks[self.current];
@@ -353,7 +358,6 @@ impl LoadStream {
         }
         let block = &mut self.blocks[self.current];
         block.rows += 1;
-        let filtered = self.equations.values();
         for (i, row) in filtered.chunks_exact(width).enumerate() {
             if row[width - 1] > MAX_STICKING {
                 continue;
