@@ -218,13 +218,15 @@ def export(
     result: ResultFile,
     out: Annotated[Path, _option("export.out")],
     form: Annotated[str | None, _option("export.form", "--format")] = None,
+    randomise: Annotated[int, _option("export.randomise")] = 0,
+    seed: Annotated[int, _option("export.seed")] = 0,
     study: ChangedStudy = None,
     quiet: Quiet = False,
 ) -> None:
     """Export an arm to MuJoCo, URDF, MATLAB, C or JSON."""
     from strainwave.export import export_file
 
-    written = export_file(result, out, form=form, study=study)
+    written = export_file(result, out, form=form, study=study, randomise=randomise, seed=seed)
     if not quiet:
         typer.echo(f"the arm is in {out}")
         for warning in written.warnings:

@@ -79,7 +79,7 @@ def test_the_command_takes_a_result_directory(result: Path) -> None:
         assert (done.returncode, done.stderr) == (0, "")
         first, *notes = done.stdout.splitlines()
         assert first == f"the arm is in {out}"
-        assert all(note.startswith("note: omitted") for note in notes)
+        assert all(note.startswith("note: lost") for note in notes)
         assert out.read_bytes().startswith(BEGINS["arm.xml"])
         out.unlink()
 
@@ -96,5 +96,5 @@ def test_the_command_prints_warnings_and_notes(tmp_path: Path) -> None:
     done = run(*arguments, "--study", str(moved))
     assert done.returncode == 0, done.stderr
     assert done.stdout.count("warning: joint") == 2
-    assert "note: omitted: motor_coulomb_friction (joint 1, 2), " in done.stdout
+    assert "note: lost: motor_coulomb_friction (joint 1, 2), " in done.stdout
     assert run(*arguments, "--study", str(moved), "--quiet").stdout == ""

@@ -249,7 +249,7 @@ def test_effects_are_noted(tmp_path: Path) -> None:
     first = replace(study.arm.joints[0], effects=("hysteresis", "kinematic-error"))
     study = replace(study, arm=replace(study.arm, joints=(first, study.arm.joints[1])))
     export = to_mjcf(exports.arm_of(study, exports.values_of(study)))
-    assert export.notes[0].startswith("omitted: hysteresis (joint 1), kinematic-error (joint 1), ")
+    assert export.notes[0].startswith("lost: hysteresis (joint 1), kinematic-error (joint 1), ")
     for note in export.notes:
         assert f"<!-- {note[:1].upper()}{note[1:]}. -->" in export.data.decode()
     assert not any("motor_inertia" in note or "gear" in note for note in export.notes)
@@ -345,7 +345,7 @@ def test_an_imu_at_an_unknown_place_is_omitted(mujoco: ModuleType, tmp_path: Pat
     )
     model = mujoco.MjModel.from_xml_string(export.data.decode())
     assert not any(model.sensor(k).name.startswith("imu") for k in range(model.nsensor))
-    assert "omitted: the IMU of joint 3: its place is unknown" in export.notes
+    assert any("IMU at an unknown place (joint 3)" in note for note in export.notes)
 
 
 def test_motors_without_estimate_have_the_inertia_of_the_standard_parameters(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 from strainwave.errors import InvalidInput, suggest_name
@@ -10,6 +11,7 @@ from strainwave.export.completion import completed
 from strainwave.export.flat import to_c_header, to_json, to_mat, to_script
 from strainwave.export.linear_models import LinearArm, linear_arm, state_space, to_state_space
 from strainwave.export.mjcf import to_mjcf
+from strainwave.export.randomisation import drawn_arms, to_randomisation
 from strainwave.export.source import Export, IdentifiedArm, arm_of, read_arm
 from strainwave.export.urdf import to_srdf, to_urdf
 from strainwave.io.atomic_files import write_whole
@@ -51,22 +53,31 @@ FORMATS = tuple(_RENDERERS)
 
 
 def export_file(
-    result: Path, out: Path, *, form: str | None = None, study: Path | None = None
+    result: Path, out: Path, *, form: str | None = None, study: Path | None = None, **options: int
 ) -> Export:
     """Write the arm of a result.json, or of a directory with one; see `export_arm`."""
     arm = read_arm(result, study)
-    return export_arm(arm, out, form=form, inputs=(result_path(result), arm.study.path))
+    inputs = (result_path(result), arm.study.path)
+    return export_arm(arm, out, form=form, inputs=inputs, **options)
 
 
 def export_arm(
-    arm: IdentifiedArm, out: Path, *, form: str | None = None, inputs: tuple[Path, ...] = ()
+    arm: IdentifiedArm,
+    out: Path,
+    *,
+    form: str | None = None,
+    inputs: tuple[Path, ...] = (),
+    randomise: int = 0,
+    seed: int = 0,
 ) -> Export:
     """Write an identified arm in the format of another program.
 
     `form` is one of `FORMATS`; by default the ending of `out` decides. MATLAB gets a script if
-    `out` ends in .m, else a MAT-file. `out` may not be one of `inputs`. Returns the export
-    with its warnings and notes. Raises `InvalidInput` if a file or the format is invalid, or a
-    parameter that the format needs is missing.
+    `out` ends in .m, else a MAT-file. `out` may not be one of `inputs`. With `randomise`, as many
+    arms drawn from the joint covariance follow in files out-1, out-2, ..., and their distribution
+    in out.randomisation.json; they are equal for equal `seed`. Returns the export with its
+    warnings and notes. Raises `InvalidInput` if a file or the format is invalid, or a parameter
+    that the format needs is missing, and `NotIdentifiable` if no arms can be drawn.
     """
     if form is None and out.suffix not in _FORMAT_BY_ENDING:
         raise InvalidInput(
@@ -89,8 +100,15 @@ def export_arm(
         )
     if out.is_dir() or not out.name:
         raise InvalidInput("is a directory", where=f"--out {out}", remedy="name a file in it")
-    arm = completed(arm, form)
     render = to_script if form == "matlab" and out.suffix == ".m" else _RENDERERS[form]
-    export = render(arm)
-    write_whole(out.parent, {out.name: export.data})
+    draws = drawn_arms(arm, randomise, seed) if randomise else ()
+    drawn = tuple(completed(each, form) for each in draws)
+    export = render(replace(completed(arm, form), draws=drawn))
+    names = [f"{out.stem}-{k:0{len(str(randomise))}}{out.suffix}" for k in range(1, randomise + 1)]
+    files = {out.name: export.data}
+    files |= {name: render(each).data for name, each in zip(names, drawn, strict=True)}
+    if draws:
+        distribution = to_randomisation(arm, draws, seed, names)
+        files[f"{out.stem}.randomisation.json"] = distribution
+    write_whole(out.parent, files)
     return export

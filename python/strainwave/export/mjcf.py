@@ -43,11 +43,12 @@ def to_mjcf(arm: IdentifiedArm) -> Export:
     Controls are voltages, or motor torques if the study has no `torque_per_volt`. Raises
     `InvalidInput` if a parameter that the model needs is missing or not physical.
     """
-    notes = (*arm.assumptions, *source.omission_note(arm, _HELD))
+    losses = source.losses(arm, _HELD)
     joints = enumerate(arm.study.arm.joints, start=1)
-    lost = [str(i) for i, joint in joints if joint.imu and _mounting(arm, i) is None]
-    if lost:
-        notes += (f"omitted: the IMU of joint {', '.join(lost)}: its place is unknown",)
+    unplaced = [i for i, joint in joints if joint.imu and _mounting(arm, i) is None]
+    if unplaced:
+        losses += (source.loss("IMU at an unknown place", unplaced),)
+    notes = (*arm.assumptions, *source.loss_note(losses))
     gravity = completion.effective_gravity(arm)
     bodies = completion.link_bodies(arm, gravity)
     coordinates = coordinates_of(arm.study.arm)
@@ -90,7 +91,7 @@ def to_mjcf(arm: IdentifiedArm) -> Export:
     warnings = arm.assumed() + _approximations(arm)
     ET.indent(mujoco)
     data: bytes = ET.tostring(mujoco, encoding="utf-8", xml_declaration=True)
-    return Export(data + b"\n", warnings + completion.gravity_warnings(arm), notes)
+    return Export(data + b"\n", warnings + completion.gravity_warnings(arm), notes, losses)
 
 
 def _comment(parent: ET.Element, text: str) -> None:

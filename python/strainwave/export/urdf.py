@@ -56,7 +56,8 @@ def to_urdf(arm: IdentifiedArm, *, has_rotors: bool = False) -> Export:
     friction. The links include the rotors, unless the file `has_rotors`.
     """
     links, rotors, friction, notes_of_links = _projected(arm, has_rotors)
-    notes = (*arm.assumptions, *notes_of_links, *source.omission_note(arm, _HELD))
+    losses = source.losses(arm, _HELD)
+    notes = (*arm.assumptions, *notes_of_links, *source.loss_note(losses))
     urdf, names = arm.study.arm.urdf, arm.study.arm.joint_names
     if urdf is not None:
         comments = ["Inertial values and friction identified by strainwave."]
@@ -85,7 +86,7 @@ def to_urdf(arm: IdentifiedArm, *, has_rotors: bool = False) -> Export:
         start, end, rest = data.rpartition(b"</robot>")
         element = f"  <rotor_params>\n{joints}  </rotor_params>\n".encode()
         data = start + element + end + rest
-    return Export(data, arm.assumed() + completion.gravity_warnings(arm), notes)
+    return Export(data, arm.assumed() + completion.gravity_warnings(arm), notes, losses)
 
 
 def _projected(
