@@ -1,4 +1,4 @@
-"""Export of an identified arm: MuJoCo, URDF, state space, MATLAB, C, JSON."""
+"""Export of an identified arm: simulators, URDF, state space, MATLAB, C, JSON."""
 
 from __future__ import annotations
 
@@ -7,13 +7,17 @@ from dataclasses import replace
 from pathlib import Path
 
 from strainwave.errors import InvalidInput, suggest_name
+from strainwave.export.actuators import to_isaaclab, to_mjlab, to_pace
 from strainwave.export.completion import completed
 from strainwave.export.flat import to_c_header, to_json, to_mat, to_script
 from strainwave.export.linear_models import LinearArm, linear_arm, state_space, to_state_space
 from strainwave.export.mjcf import to_mjcf
 from strainwave.export.randomisation import drawn_arms, to_randomisation
+from strainwave.export.sdf import to_drake, to_sdf
+from strainwave.export.simscape import to_simscape
 from strainwave.export.source import Export, IdentifiedArm, arm_of, read_arm
 from strainwave.export.urdf import to_srdf, to_urdf
+from strainwave.export.usd import to_usd
 from strainwave.io.atomic_files import write_whole
 from strainwave.io.results import result_path
 
@@ -35,6 +39,8 @@ _FORMAT_BY_ENDING = {
     ".mjcf": "mjcf",
     ".urdf": "urdf",
     ".srdf": "srdf",
+    ".usda": "usd",
+    ".sdf": "sdf",
     ".mat": "matlab",
     ".m": "matlab",
     ".h": "c",
@@ -44,6 +50,13 @@ _RENDERERS: dict[str, Callable[[IdentifiedArm], Export]] = {
     "mjcf": to_mjcf,
     "urdf": to_urdf,
     "srdf": to_srdf,
+    "usd": to_usd,
+    "sdf": to_sdf,
+    "drake": to_drake,
+    "simscape": to_simscape,
+    "isaaclab": to_isaaclab,
+    "mjlab": to_mjlab,
+    "pace": to_pace,
     "state-space": to_state_space,
     "matlab": to_mat,
     "c": to_c_header,

@@ -45,6 +45,8 @@ from strainwave.io.base_parameters import (
     torque_errors,
 )
 
+FORMATS_OF_RIGID_LINKS = ("urdf", "srdf", "usd", "sdf", "drake", "isaaclab", "mjlab", "pace")
+"""Formats with joints behind rigid gears, whose friction is that of the joint."""
 _MAX_GRAVITY_ERROR = 0.01  # relative; errors of torque constants are smaller
 
 
@@ -244,7 +246,7 @@ def _with_projected_friction(
             )
         values.update(zip(keys, projection.tolist(), strict=True))
     arm = replace(arm, torques=torques)
-    if form not in ("urdf", "srdf"):  # they have other friction
+    if form not in FORMATS_OF_RIGID_LINKS:  # they have other friction, and other losses
         notes.append(loss_note(arm, of_bodies + motor_friction(arm, motion)))
     return arm
 

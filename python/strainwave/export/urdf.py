@@ -22,7 +22,7 @@ _HELD = (
     *("motor_inertia", "motor_viscous_friction", "link_viscous_friction"),
     *("motor_coulomb_friction", "friction_offset"),
 )
-_NO_LIMIT = 1e6  # of a joint without limits, where URDF requires numbers
+NO_LIMIT = 1e6  # of a joint without limits, where URDF requires numbers
 
 
 def _kind(joint: Joint) -> str:
@@ -37,10 +37,10 @@ def _limits(joint: Joint) -> dict[str, float]:
     known, given = joint.limits or JointLimits(), _kind(joint)
     if given == "continuous" and not (known.velocity or known.effort):
         return {}
-    limits = {"effort": known.effort or _NO_LIMIT, "velocity": known.velocity or _NO_LIMIT}
+    limits = {"effort": known.effort or NO_LIMIT, "velocity": known.velocity or NO_LIMIT}
     if given != "continuous":
-        limits["lower"] = -_NO_LIMIT if known.lower is None else known.lower
-        limits["upper"] = _NO_LIMIT if known.upper is None else known.upper
+        limits["lower"] = -NO_LIMIT if known.lower is None else known.lower
+        limits["upper"] = NO_LIMIT if known.upper is None else known.upper
     return limits
 
 
@@ -55,7 +55,7 @@ def to_urdf(arm: IdentifiedArm, *, has_rotors: bool = False) -> Export:
     If a URDF places the joints of the study, it is that file with other inertial values and
     friction. The links include the rotors, unless the file `has_rotors`.
     """
-    links, rotors, friction, notes_of_links = _projected(arm, has_rotors)
+    links, rotors, friction, notes_of_links = projected_links(arm, has_rotors)
     losses = source.losses(arm, _HELD)
     notes = (*arm.assumptions, *notes_of_links, *source.loss_note(losses))
     urdf, names = arm.study.arm.urdf, arm.study.arm.joint_names
@@ -89,7 +89,7 @@ def to_urdf(arm: IdentifiedArm, *, has_rotors: bool = False) -> Export:
     return Export(data, arm.assumed() + completion.gravity_warnings(arm), notes, losses)
 
 
-def _projected(
+def projected_links(
     arm: IdentifiedArm, has_rotors: bool
 ) -> tuple[list[LinkPrior], list[float], list[tuple[float, float]], list[str]]:
     """The model whose torques at the motors over the recorded motion are nearest to the arm's.
