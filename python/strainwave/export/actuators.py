@@ -21,7 +21,7 @@ from strainwave.domain.arm.combinations import is_rigid_drive
 from strainwave.domain.keys import Values
 from strainwave.export import source
 from strainwave.export.randomisation import drawn_values
-from strainwave.export.rigid_links import DELAY, RigidLink, held_parts, rigid_links
+from strainwave.export.rigid_links import DELAY, HELD, RigidLink, rigid_links
 from strainwave.export.source import Export, IdentifiedArm
 from strainwave.export.urdf import NO_LIMIT
 from strainwave.io.templates import fill_text
@@ -30,7 +30,7 @@ Attribute = Callable[[RigidLink], float | None]
 
 
 def _of_servo(name: str) -> Attribute:
-    return lambda link: link.servo and getattr(link.servo, name)
+    return lambda link: None if link.servo is None else getattr(link.servo, name)
 
 
 _QUANTITIES: Mapping[str, Attribute] = {
@@ -96,7 +96,7 @@ def to_pace(arm: IdentifiedArm) -> Export:
 
 def _module(arm: IdentifiedArm, form: str) -> Export:
     target, (links, notes) = TARGETS[form], rigid_links(arm, has_rotors=True)
-    losses = source.losses(arm, [*held_parts(arm), DELAY, "gravity", source.ERRORS])
+    losses = source.losses(arm, [*HELD, DELAY, "gravity", source.ERRORS])
     if is_rigid_drive(arm.study.arm):
         notes = (*notes, "the link of a single rigid joint includes its motor: armature is zero")
     if not all(link.servo for link in links):

@@ -7,19 +7,22 @@ from dataclasses import dataclass
 from strainwave.domain import Joint, JointLimits
 from strainwave.domain.arm.kinds.base import Body
 from strainwave.domain.keys import JointNumber
+from strainwave.errors import InvalidInput
 from strainwave.export.source import IdentifiedArm
 from strainwave.export.urdf import projected_links
 
-SERVO, DELAY = ("servo_kp", "servo_kd", "servo_damping", "torque_limit"), "servo_delay"
-"""Parameters of a position servo."""
-_JOINT = (
+SERVO = ("servo_kp", "servo_kd", "servo_damping", "torque_limit")
+"""Parameters of a position servo without its delay."""
+HELD = (
     *("motor_inertia", "motor_viscous_friction", "link_viscous_friction"),
-    "motor_coulomb_friction",
+    *("motor_coulomb_friction", *SERVO),
 )
+"""Parameters that formats of rigid links hold."""
+DELAY = "servo_delay"
 
 
 @dataclass(frozen=True, slots=True)
-class PositionServo:
+class ServoLaw:
     """The law of a joint's servo: limited torque of stiffness (ref - q) - damping dq."""
 
     stiffness: float  # [N m/rad, N/m]
@@ -39,7 +42,7 @@ class RigidLink:
     armature: float  # [kg m^2, kg] of the motor at the joint; zero: the body includes it
     viscous_friction: float  # [N m s/rad, N s/m]
     dry_friction: float  # [N m, N]
-    servo: PositionServo | None
+    servo: ServoLaw | None
 
     @property
     def limits(self) -> JointLimits:
@@ -51,12 +54,6 @@ class RigidLink:
         """Limit of the torque [N m] or force [N]: that of the servo, else that of the joint."""
         limit = self.servo.limit if self.servo else None
         return self.limits.effort if limit is None else limit
-
-
-def held_parts(arm: IdentifiedArm) -> list[str]:
-    """Parts of an arm that formats of rigid links hold: inertia, friction, gains of the servo."""
-    has_gains = any(name == "servo_kp" for name, _ in arm.values)
-    return [*_JOINT, *SERVO, *["servo"] * has_gains]
 
 
 def rigid_links(
@@ -77,24 +74,36 @@ def rigid_links(
             armature=rotors[i],
             viscous_friction=friction[i][0],
             dry_friction=friction[i][1],
-            servo=_servo(arm, i + 1),
+            servo=servo_law(arm, i + 1),
         )
         for i, (name, joint, body) in enumerate(joints)
     )
     return links, (*arm.assumptions, *notes)
 
 
-def _servo(arm: IdentifiedArm, number: JointNumber) -> PositionServo | None:
-    """The position servo of a joint; the damping is the sum with friction if only that is known."""
-    values = arm.values
-    if values.get(("servo_kp", number)) is None:
+def servo_law(arm: IdentifiedArm, number: JointNumber) -> ServoLaw | None:
+    """The position servo of a joint; the damping is the sum with friction if only that is known.
+
+    Raises `InvalidInput` if its gain is unknown: then the result has ratios, and no torques.
+    """
+    servo, values = arm.study.arm.position_servo, arm.values
+    if servo is None:
         return None
-    damping = values.get(("servo_kd", number))
-    if damping is None:
-        damping = values.get(("servo_damping", number), 0.0)
-    return PositionServo(
-        arm.need("servo_kp", number),
-        damping,
-        values.get(("torque_limit", number)),
-        values.get(("servo_delay", number), 0.0),
+
+    def value_of(name: str, known: float | None) -> float | None:
+        return values.get((name, number), known)
+
+    stiffness = value_of("servo_kp", servo.gain(number))
+    if stiffness is None:
+        raise InvalidInput(
+            f"the gain of servo {number} is not determined: the result has ratios, and no torques",
+            where=f"{arm.source}: servo_kp {number}",
+            remedy="give kp in the study, or identify with a record that has a known payload",
+        )
+    damping = value_of("servo_kd", servo.damping_gain(number))
+    return ServoLaw(
+        stiffness,
+        values.get(("servo_damping", number), 0.0) if damping is None else damping,
+        value_of("torque_limit", servo.torque_limit(number)),
+        value_of("servo_delay", servo.delay_of(number)) or 0.0,
     )
