@@ -223,7 +223,7 @@ def export(
     study: ChangedStudy = None,
     quiet: Quiet = False,
 ) -> None:
-    """Export an arm to MuJoCo, URDF, MATLAB, C or JSON."""
+    """Export an arm to simulators, URDF, MATLAB, C or JSON."""
     from strainwave.export import export_file
 
     written = export_file(result, out, form=form, study=study, randomise=randomise, seed=seed)

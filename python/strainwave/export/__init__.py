@@ -40,6 +40,7 @@ _FORMAT_BY_ENDING = {
     ".urdf": "urdf",
     ".srdf": "srdf",
     ".usda": "usd",
+    ".usd": "usd",
     ".sdf": "sdf",
     ".mat": "matlab",
     ".m": "matlab",
