@@ -100,6 +100,10 @@ def export_arm(
         )
     if out.is_dir() or not out.name:
         raise InvalidInput("is a directory", where=f"--out {out}", remedy="name a file in it")
+    if randomise < 0:
+        raise InvalidInput(
+            f"{randomise} arms cannot be drawn", where="--randomise", remedy="give 0 or more"
+        )
     render = to_script if form == "matlab" and out.suffix == ".m" else _RENDERERS[form]
     draws = drawn_arms(arm, randomise, seed) if randomise else ()
     drawn = tuple(completed(each, form) for each in draws)
