@@ -229,6 +229,8 @@ def export(
     written = export_file(result, out, form=form, study=study, randomise=randomise, seed=seed)
     if not quiet:
         typer.echo(f"the arm is in {out}")
+        if written.read_back:
+            typer.echo(written.read_back.text)
         for warning in written.warnings:
             typer.echo(f"warning: {warning.where}: {warning.message}")
         for note in written.notes:

@@ -115,4 +115,9 @@ def export_arm(
         distribution = to_randomisation(arm, draws, seed, names)
         files[f"{out.stem}.randomisation.json"] = distribution
     write_whole(out.parent, files)
-    return export
+    read_back = export.check(out) if export.check else None
+    return replace(
+        export,
+        warnings=export.warnings + (read_back.warnings if read_back else ()),
+        read_back=read_back,
+    )

@@ -26,6 +26,7 @@ from strainwave.domain.arm.link_sensors.link_space import axes_about, link_space
 from strainwave.domain.arm.link_sensors.single_axis import Accelerometer, Gyro
 from strainwave.export import completion, source
 from strainwave.export.linear_models import Coordinates, coordinates_of
+from strainwave.export.read_back import by_mujoco
 from strainwave.export.source import Export, IdentifiedArm, numbers
 
 _STEP_S = 1e-4  # [s] time step; Coulomb friction, a constraint, takes two steps to stop a motor
@@ -91,7 +92,9 @@ def to_mjcf(arm: IdentifiedArm) -> Export:
     warnings = arm.assumed() + _approximations(arm)
     ET.indent(mujoco)
     data: bytes = ET.tostring(mujoco, encoding="utf-8", xml_declaration=True)
-    return Export(data + b"\n", warnings + completion.gravity_warnings(arm), notes, losses)
+    return Export(
+        data + b"\n", warnings + completion.gravity_warnings(arm), notes, losses, by_mujoco
+    )
 
 
 def _comment(parent: ET.Element, text: str) -> None:

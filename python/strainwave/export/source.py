@@ -29,6 +29,7 @@ from strainwave.domain.arm.parameter_table import base_name, family_of
 from strainwave.domain.arm.parameters import complete_values
 from strainwave.domain.keys import JointNumber, Values
 from strainwave.errors import InvalidInput
+from strainwave.export.read_back import Check, ReadBack
 from strainwave.io import results
 from strainwave.io.atomic_files import read_bytes
 from strainwave.io.joint_covariance import JointCovariance
@@ -44,6 +45,8 @@ class Export:
     warnings: tuple[Diagnostic, ...] = ()  # assumptions behind the numbers
     notes: tuple[str, ...] = ()  # assumed and projected values
     losses: tuple[Diagnostic, ...] = ()  # parts that the format cannot represent
+    check: Check | None = None  # reads the written file
+    read_back: ReadBack | None = None  # what it finds; None without the reader
 
 
 @dataclass(frozen=True, slots=True)
