@@ -95,7 +95,6 @@ _ACTUATOR = {
     "dynprm": ("actuator_dynprm",),
     "kp": ("actuator_gainprm",),
     "forcerange": ("actuator_forcerange",),
-    "ctrlrange": ("actuator_ctrlrange",),
     "delay": ("actuator_delay",),
 }
 
@@ -155,9 +154,13 @@ def _of_mjcf(model: Any, root: ET.Element) -> Iterator[Value]:
     for actuator in root.iterfind("actuator/*"):
         at = model.actuator(actuator.attrib["name"]).id
         yield from _attributes(model, actuator, at, _ACTUATOR)
+        name = actuator.attrib["name"]
         if "kv" in actuator.attrib:
-            place = f"{actuator.attrib['name']} kv"
-            yield place, _vector(actuator, "kv"), -model.actuator_biasprm[at, 2]
+            yield f"{name} kv", _vector(actuator, "kv"), -model.actuator_biasprm[at, 2]
+        if "ctrlrange" in actuator.attrib:  # MuJoCo 4 has actuators with several controls or none
+            control = model.actuator_ctrladr[at] if hasattr(model, "actuator_ctrladr") else at
+            read = model.actuator_ctrlrange[control]
+            yield f"{name} ctrlrange", _vector(actuator, "ctrlrange"), read
 
 
 def _attributes(

@@ -48,6 +48,11 @@ class Export:
     check: Check | None = None  # reads the written file
     read_back: ReadBack | None = None  # what it finds; None without the reader
 
+    @property
+    def losses_of_version(self) -> tuple[Diagnostic, ...]:
+        """Parts for which a later version of the format has an element."""
+        return tuple(x for x in self.losses if x.clause.template == "left-out/version")
+
 
 @dataclass(frozen=True, slots=True)
 class IdentifiedArm:
@@ -359,7 +364,7 @@ def losses(arm: IdentifiedArm, held: Collection[str]) -> tuple[Diagnostic, ...]:
     present = {
         "gravity": description.gravity,
         "transmission": description.is_coupled,
-        "servo": description.servo,
+        "servo": description.servo or description.position_servo,
         ERRORS: True,
     }
     parts |= {part: set() for part, value in present.items() if value}
