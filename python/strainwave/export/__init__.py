@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 from strainwave.errors import InvalidInput, suggest_name
 from strainwave.export.actuators import to_isaaclab, to_mjlab, to_pace
@@ -12,6 +14,7 @@ from strainwave.export.completion import completed
 from strainwave.export.flat import to_c_header, to_json, to_mat, to_script
 from strainwave.export.linear_models import LinearArm, linear_arm, state_space, to_state_space
 from strainwave.export.mjcf import to_mjcf
+from strainwave.export.mjcf_drives import Target
 from strainwave.export.randomisation import drawn_arms, to_randomisation
 from strainwave.export.sdf import to_drake, to_sdf
 from strainwave.export.simscape import to_simscape
@@ -67,7 +70,7 @@ FORMATS = tuple(_RENDERERS)
 
 
 def export_file(
-    result: Path, out: Path, *, form: str | None = None, study: Path | None = None, **options: int
+    result: Path, out: Path, *, form: str | None = None, study: Path | None = None, **options: Any
 ) -> Export:
     """Write the arm of a result.json, or of a directory with one; see `export_arm`."""
     arm = read_arm(result, study)
@@ -83,13 +86,15 @@ def export_arm(
     inputs: tuple[Path, ...] = (),
     randomise: int = 0,
     seed: int = 0,
+    mujoco: str | None = None,
 ) -> Export:
     """Write an identified arm in the format of another program.
 
     `form` is one of `FORMATS`; by default the ending of `out` decides. MATLAB gets a script if
     `out` ends in .m, else a MAT-file. `out` may not be one of `inputs`. With `randomise`, as many
     arms drawn from the joint covariance follow in files out-1, out-2, ..., and their distribution
-    in out.randomisation.json; they are equal for equal `seed`. Returns the export with its
+    in out.randomisation.json; they are equal for equal `seed`. `mujoco` is the version that an MJCF
+    is for; by default the newest. Returns the export with its
     warnings and notes. Raises `InvalidInput` if a file or the format is invalid, or a parameter
     that the format needs is missing, and `NotIdentifiable` if no arms can be drawn.
     """
@@ -114,10 +119,23 @@ def export_arm(
         )
     if out.is_dir() or not out.name:
         raise InvalidInput("is a directory", where=f"--out {out}", remedy="name a file in it")
+    if randomise < 0:
+        raise InvalidInput(
+            f"{randomise} arms cannot be drawn", where="--randomise", remedy="give 0 or more"
+        )
     render = to_script if form == "matlab" and out.suffix == ".m" else _RENDERERS[form]
+    complete = partial(completed, form=form)
+    if form == "mjcf":
+        target = Target.of(mujoco) if mujoco else Target()
+        render = partial(to_mjcf, target=target)
+        complete = partial(complete, held=target.effects, has_powers=target.has("polynomial"))
+    elif mujoco:
+        raise InvalidInput(
+            "is the version of another format", where="--mujoco", remedy="export to mjcf"
+        )
     draws = drawn_arms(arm, randomise, seed) if randomise else ()
-    drawn = tuple(completed(each, form) for each in draws)
-    export = render(replace(completed(arm, form), draws=drawn))
+    drawn = tuple(map(complete, draws))
+    export = render(replace(complete(arm), draws=drawn))
     names = [f"{out.stem}-{k:0{len(str(randomise))}}{out.suffix}" for k in range(1, randomise + 1)]
     files = {out.name: export.data}
     files |= {name: render(each).data for name, each in zip(names, drawn, strict=True)}
@@ -125,4 +143,9 @@ def export_arm(
         distribution = to_randomisation(arm, draws, seed, names)
         files[f"{out.stem}.randomisation.json"] = distribution
     write_whole(out.parent, files)
-    return export
+    read_back = export.check(out) if export.check else None
+    return replace(
+        export,
+        warnings=export.warnings + (read_back.warnings if read_back else ()),
+        read_back=read_back,
+    )

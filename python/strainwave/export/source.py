@@ -29,6 +29,7 @@ from strainwave.domain.arm.parameter_table import base_name, family_of
 from strainwave.domain.arm.parameters import complete_values
 from strainwave.domain.keys import JointNumber, Values
 from strainwave.errors import InvalidInput
+from strainwave.export.read_back import Check, ReadBack
 from strainwave.io import results
 from strainwave.io.atomic_files import read_bytes
 from strainwave.io.joint_covariance import JointCovariance
@@ -44,6 +45,13 @@ class Export:
     warnings: tuple[Diagnostic, ...] = ()  # assumptions behind the numbers
     notes: tuple[str, ...] = ()  # assumed and projected values
     losses: tuple[Diagnostic, ...] = ()  # parts that the format cannot represent
+    check: Check | None = None  # reads the written file
+    read_back: ReadBack | None = None  # what it finds; None without the reader
+
+    @property
+    def losses_of_version(self) -> tuple[Diagnostic, ...]:
+        """Parts for which a later version of the format has an element."""
+        return tuple(x for x in self.losses if x.clause.template == "left-out/version")
 
 
 @dataclass(frozen=True, slots=True)
@@ -356,7 +364,7 @@ def losses(arm: IdentifiedArm, held: Collection[str]) -> tuple[Diagnostic, ...]:
     present = {
         "gravity": description.gravity,
         "transmission": description.is_coupled,
-        "servo": description.servo,
+        "servo": description.servo or description.position_servo,
         ERRORS: True,
     }
     parts |= {part: set() for part, value in present.items() if value}

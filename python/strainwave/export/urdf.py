@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
@@ -13,6 +14,7 @@ from strainwave.domain.arm.kinds.base import Body
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import NumericalFailure
 from strainwave.export import completion, source
+from strainwave.export.read_back import UrdfValues, by_pinocchio
 from strainwave.export.source import Export, IdentifiedArm, numbers
 from strainwave.io.base_parameters import links_of_torques, motor_regressor, torque_errors
 from strainwave.io.templates import fill_text
@@ -79,14 +81,24 @@ def to_urdf(arm: IdentifiedArm, *, has_rotors: bool = False) -> Export:
             sentence_of=source.sentence_of,
         ).encode()
     if has_rotors:
-        joints = "".join(
+        rotor_texts = "".join(
             f'    <joint name={quoteattr(name)} mass="{numbers(rotor)}" gear_ratio="1.0" />\n'
             for name, rotor in zip(names, rotors, strict=True)
         )
         start, end, rest = data.rpartition(b"</robot>")
-        element = f"  <rotor_params>\n{joints}  </rotor_params>\n".encode()
+        element = f"  <rotor_params>\n{rotor_texts}  </rotor_params>\n".encode()
         data = start + element + end + rest
-    return Export(data, arm.assumed() + completion.gravity_warnings(arm), notes, losses)
+    joints = arm.study.arm.joints
+    values = UrdfValues(
+        names,
+        tuple(links),
+        tuple(friction),
+        limits=tuple(map(_limits, joints)),
+        origins=None if urdf and urdf.held else tuple(joint.origin for joint in joints),
+        rotors=tuple(rotors) if has_rotors else None,
+    )
+    check = partial(by_pinocchio, values=values)
+    return Export(data, arm.assumed() + completion.gravity_warnings(arm), notes, losses, check)
 
 
 def projected_links(
