@@ -171,6 +171,10 @@ def limited_chain(folder: Path, motions: Motions = MOTIONS[0]) -> tuple[Study, V
     return replace(study, arm=study.arm.with_joints(joints)), values
 
 
+SERVO_DAMPING = 0.03 - 0.5 * 0.002 * 4.8
+"""Of the law in continuous time that is nearest to the servo, which holds its output for 2 ms."""
+
+
 def position_servo(folder: Path, known_kp: bool = False) -> tuple[Study, Values]:
     """One joint behind a position servo; its gain is known from the study, or identified."""
     study, values = single(folder, gravity=9.81)

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import exports
+from exports import SERVO_DAMPING as DAMPING
 from strainwave.domain import JointLimits
 from strainwave.dynamics.arm import Arm
 from strainwave.export.rigid_links import rigid_links
@@ -88,7 +89,7 @@ def test_drake_has_the_servo(drake: ModuleType, tmp_path: Path) -> None:
     plant = plant_of(drake, export.data)
     actuator = plant.get_joint_actuator(plant.GetJointActuatorIndices()[0])
     gains = actuator.get_controller_gains()
-    assert (gains.p, gains.d, actuator.effort_limit()) == (4.8, 0.03, 0.75)
+    assert (gains.p, gains.d, actuator.effort_limit()) == (4.8, DAMPING, 0.75)
     text = " ".join(export.notes)
     for name in ("servo_delay", "motor_coulomb_friction"):
         assert name in text
@@ -130,6 +131,6 @@ def test_the_servo_is_a_plugin_of_gazebo(tmp_path: Path) -> None:
     assert plugin is not None
     read = {child.tag: child.text for child in plugin}
     assert read == {
-        **{"joint_name": "joint1", "p_gain": "4.8", "i_gain": "0", "d_gain": "0.03"},
+        **{"joint_name": "joint1", "p_gain": "4.8", "i_gain": "0", "d_gain": str(DAMPING)},
         **{"cmd_max": "0.75", "cmd_min": "-0.75"},
     }

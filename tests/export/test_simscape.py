@@ -89,8 +89,9 @@ def test_servos_are_assigned(tmp_path: Path) -> None:
     for known in (False, True):
         study, values = exports.position_servo(tmp_path, known)
         fields = assigned(exports.arm_of(study, values))
-        wanted = {"kp": 4.8, "kd": 0.03, "delay": 0.021}
-        assert {name: fields[f"joints(1).servo_{name}"] for name in wanted} == wanted
+        wanted = {"stiffness": 4.8, "damping": exports.SERVO_DAMPING, "delay": 0.022}
+        for name, value in wanted.items():
+            assert fields[f"joints(1).servo_{name}"] == pytest.approx(value)
         assert fields["joints(1).torque_limit"] == 0.75
 
 

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import exports
+from exports import SERVO_DAMPING as DAMPING
 from strainwave.domain import FloatArray
 from strainwave.domain.arm.link_sensors.link_space import attitude
 from strainwave.export.rigid_links import rigid_links
@@ -138,7 +139,7 @@ def test_the_servo_is_a_drive(pxr: ModuleType, tmp_path: Path) -> None:
     per_degree = np.pi / 180.0
     assert drive.GetTypeAttr().Get() == "force"
     assert drive.GetStiffnessAttr().Get() == pytest.approx(4.8 * per_degree, rel=SINGLE)
-    assert drive.GetDampingAttr().Get() == pytest.approx(0.03 * per_degree, rel=SINGLE)
+    assert drive.GetDampingAttr().Get() == pytest.approx(DAMPING * per_degree, rel=SINGLE)
     assert drive.GetMaxForceAttr().Get() == pytest.approx(0.75)
 
 

@@ -21,7 +21,7 @@ from strainwave.domain.arm.combinations import is_rigid_drive
 from strainwave.domain.keys import Values
 from strainwave.export import source
 from strainwave.export.randomisation import drawn_values
-from strainwave.export.rigid_links import DELAY, HELD, RigidLink, rigid_links
+from strainwave.export.rigid_links import DELAY, STICTION, RigidLink, held_parts, rigid_links
 from strainwave.export.source import Export, IdentifiedArm
 from strainwave.export.urdf import NO_LIMIT
 from strainwave.io.templates import fill_text
@@ -60,21 +60,35 @@ class Target:
     of_torque: str  # class of a motor whose torque is the command
     dry_friction: str
     viscous_friction: str
+    holds: tuple[str, ...] = ()  # parts in addition to those of rigid links
 
 
-_ISAAC = ("friction", "viscous_friction")
-_MJLAB = ("BuiltinPositionActuatorCfg", "BuiltinMotorActuatorCfg")
+_ISAAC = ("friction", "viscous_friction", (STICTION,))
 TARGETS = {
     "isaaclab": Target(
-        *("Isaac Lab", "Isaac Lab 2.3.2", "isaaclab.actuators"),
-        *("DelayedPDActuatorCfg", "ImplicitActuatorCfg", *_ISAAC),
+        "Isaac Lab",
+        "Isaac Lab 2.3.2",
+        "isaaclab.actuators",
+        "DelayedPDActuatorCfg",
+        "ImplicitActuatorCfg",
+        *_ISAAC,
     ),
     "mjlab": Target(
-        *("mjlab", "mjlab 1.6.0", "mjlab.actuator", *_MJLAB, "frictionloss", "viscous_damping"),
+        "mjlab",
+        "mjlab 1.6.0",
+        "mjlab.actuator",
+        "BuiltinPositionActuatorCfg",
+        "BuiltinMotorActuatorCfg",
+        "frictionloss",
+        "viscous_damping",
     ),
     "pace": Target(
-        *("PACE", "PACE of December 2025, Isaac Lab 2.3.2", "pace_sim2real.utils"),
-        *("PaceDCMotorCfg", "PaceDCMotorCfg", *_ISAAC),
+        "PACE",
+        "PACE of December 2025, Isaac Lab 2.3.2",
+        "pace_sim2real.utils",
+        "PaceDCMotorCfg",
+        "PaceDCMotorCfg",
+        *_ISAAC,
     ),
 }
 
@@ -96,7 +110,7 @@ def to_pace(arm: IdentifiedArm) -> Export:
 
 def _module(arm: IdentifiedArm, form: str) -> Export:
     target, (links, notes) = TARGETS[form], rigid_links(arm, has_rotors=True)
-    losses = source.losses(arm, [*HELD, DELAY, "gravity", source.ERRORS])
+    losses = source.losses(arm, held_parts(arm, DELAY, "gravity", source.ERRORS, *target.holds))
     if is_rigid_drive(arm.study.arm):
         notes = (*notes, "the link of a single rigid joint includes its motor: armature is zero")
     if not all(link.servo for link in links):
@@ -168,15 +182,17 @@ def _correlation(drawn: FloatArray) -> FloatArray:
 
 def _at_joints(arm: IdentifiedArm, values: Values, links: Sequence[RigidLink]) -> Iterator[float]:
     """The quantities of all joints, from the parameters of their own motors, links and servos."""
+    servo = arm.study.arm.position_servo
     for link in links:
         n = abs(link.joint.gear_ratio)
         of = {name: value for (name, joint), value in values.items() if joint == link.number}
         of = defaultdict(float, of)
         viscous = of["motor_viscous_friction"] + n**2 * of["link_viscous_friction"]
+        late = 0.5 * servo.period if servo else 0.0
         yield 0.0 if is_rigid_drive(arm.study.arm) else of[MOTOR_INERTIA] / n**2
         yield of["motor_coulomb_friction"] / n
         yield of.get("total_viscous_friction", viscous) / n**2
         yield of["servo_kp"]
-        yield of.get("servo_kd", of["servo_damping"])
+        yield of.get("servo_kd", of["servo_damping"]) - late * of["servo_kp"]
         yield of["torque_limit"]
         yield of["servo_delay"]

@@ -8,27 +8,35 @@ from strainwave.domain import Joint, JointLimits
 from strainwave.domain.arm.kinds.base import Body
 from strainwave.domain.keys import JointNumber
 from strainwave.errors import InvalidInput
+from strainwave.export.mjcf_drives import servo_gains
 from strainwave.export.source import IdentifiedArm
 from strainwave.export.urdf import projected_links
 
-SERVO = ("servo_kp", "servo_kd", "servo_damping", "torque_limit")
-"""Parameters of a position servo without its delay."""
-HELD = (
+DELAY, STICTION = "servo_delay", "stribeck_friction"
+_HELD = (
     *("motor_inertia", "motor_viscous_friction", "link_viscous_friction"),
-    *("motor_coulomb_friction", *SERVO),
+    *("motor_coulomb_friction", "servo_kp", "servo_kd", "servo_damping", "torque_limit"),
 )
-"""Parameters that formats of rigid links hold."""
-DELAY = "servo_delay"
+
+
+def held_parts(arm: IdentifiedArm, *further: str) -> set[str]:
+    """Parts of an arm that formats of rigid links hold, and `further` ones of one format."""
+    return {*_HELD, *further, *["servo"] * (arm.study.arm.position_servo is not None)}
 
 
 @dataclass(frozen=True, slots=True)
 class ServoLaw:
-    """The law of a joint's servo: limited torque of stiffness (ref - q) - damping dq."""
+    """The law in continuous time that is nearest to that of a joint's position servo.
+
+    stiffness (ref(t - delay) - q) - damping dq, limited. The servo holds its output over its
+    period h, on average h/2 late: that is -h/2 stiffness of damping, and h/2 of delay. A simulation
+    with semi-implicit Euler steps has the law in continuous time without such a change.
+    """
 
     stiffness: float  # [N m/rad, N/m]
     damping: float  # [N m s/rad, N s/m]; with the viscous friction, unless that is known
     limit: float | None  # [N m, N]
-    delay: float  # [s] of the command
+    delay: float  # [s]
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,6 +50,7 @@ class RigidLink:
     armature: float  # [kg m^2, kg] of the motor at the joint; zero: the body includes it
     viscous_friction: float  # [N m s/rad, N s/m]
     dry_friction: float  # [N m, N]
+    static_friction: float  # [N m, N] at standstill, not below the dry friction
     servo: ServoLaw | None
 
     @property
@@ -74,6 +83,7 @@ def rigid_links(
             armature=rotors[i],
             viscous_friction=friction[i][0],
             dry_friction=friction[i][1],
+            static_friction=max(friction[i][1], _breakaway(arm, i + 1)),
             servo=servo_law(arm, i + 1),
         )
         for i, (name, joint, body) in enumerate(joints)
@@ -81,29 +91,28 @@ def rigid_links(
     return links, (*arm.assumptions, *notes)
 
 
+def _breakaway(arm: IdentifiedArm, number: JointNumber) -> float:
+    """Friction of the joint at standstill (S10); zero if it does not differ from dry friction."""
+    excess = arm.identified.get((STICTION, number), 0.0)
+    dry = arm.identified.get(("motor_coulomb_friction", number), 0.0)
+    return (dry + excess) / abs(arm.joint(number).gear_ratio) if excess else 0.0
+
+
 def servo_law(arm: IdentifiedArm, number: JointNumber) -> ServoLaw | None:
-    """The position servo of a joint; the damping is the sum with friction if only that is known.
+    """The position servo of a joint; None without.
 
     Raises `InvalidInput` if its gain is unknown: then the result has ratios, and no torques.
     """
-    servo, values = arm.study.arm.position_servo, arm.values
+    servo = arm.study.arm.position_servo
     if servo is None:
         return None
-
-    def value_of(name: str, known: float | None) -> float | None:
-        return values.get((name, number), known)
-
-    stiffness = value_of("servo_kp", servo.gain(number))
-    if stiffness is None:
+    gains, late = servo_gains(arm, number, servo), 0.5 * servo.period
+    if gains.is_relative:
         raise InvalidInput(
             f"the gain of servo {number} is not determined: the result has ratios, and no torques",
             where=f"{arm.source}: servo_kp {number}",
-            remedy="give kp in the study, or identify with a record that has a known payload",
+            remedy="give kp in the study, or identify with a record that has a known payload; MJCF "
+            "has the ratios",
         )
-    damping = value_of("servo_kd", servo.damping_gain(number))
-    return ServoLaw(
-        stiffness,
-        values.get(("servo_damping", number), 0.0) if damping is None else damping,
-        value_of("torque_limit", servo.torque_limit(number)),
-        value_of("servo_delay", servo.delay_of(number)) or 0.0,
-    )
+    damping = max(gains.damping - late * gains.stiffness, 0.0)
+    return ServoLaw(gains.stiffness, damping, gains.limit, gains.delay + late)

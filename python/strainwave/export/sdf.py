@@ -6,7 +6,7 @@ from pathlib import Path
 from xml.sax.saxutils import escape, quoteattr
 
 from strainwave.export import completion, source
-from strainwave.export.rigid_links import HELD, rigid_links
+from strainwave.export.rigid_links import held_parts, rigid_links
 from strainwave.export.source import Export, IdentifiedArm, numbers
 from strainwave.io.templates import fill_text
 
@@ -26,7 +26,7 @@ def to_drake(arm: IdentifiedArm) -> Export:
 
 def _model(arm: IdentifiedArm, *, is_drake: bool) -> Export:
     links, notes = rigid_links(arm, has_rotors=is_drake)
-    held = set(HELD) - ({"motor_coulomb_friction"} if is_drake else set())
+    held = held_parts(arm) - ({"motor_coulomb_friction"} if is_drake else set())
     losses = source.losses(arm, held)
     notes = (*notes, *source.loss_note(losses))
     text = fill_text(

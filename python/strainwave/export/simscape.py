@@ -12,13 +12,13 @@ from strainwave.domain import Joint, Parameter
 from strainwave.domain.arm.link_sensors.link_space import attitude
 from strainwave.domain.keys import JointNumber
 from strainwave.export import completion, source
-from strainwave.export.rigid_links import DELAY, SERVO, servo_law
+from strainwave.export.rigid_links import DELAY, held_parts, servo_law
 from strainwave.export.source import Export, IdentifiedArm, numbers
 from strainwave.io.templates import fill_text
 
 Field = float | tuple[float, ...]
 _DRIVE = ("torque_per_volt", "current_loop_hz")
-_HELD = (*source.LINEAR, *completion.FRICTION, *_DRIVE, *SERVO, DELAY, source.ERRORS)
+_HELD = (*source.LINEAR, *completion.FRICTION, *_DRIVE, DELAY, source.ERRORS)
 _BEYOND = 2.0  # the table of a spring ends at this multiple of its last knee
 
 
@@ -28,7 +28,7 @@ def to_simscape(arm: IdentifiedArm) -> Export:
     Raises `InvalidInput` if a parameter that the model needs is missing.
     """
     description, gravity = arm.study.arm, completion.effective_gravity(arm)
-    losses = (*source.losses(arm, _HELD), source.CORRELATIONS)
+    losses = (*source.losses(arm, held_parts(arm, *_HELD)), source.CORRELATIONS)
     notes = (*arm.assumptions, *source.loss_note(losses))
     joints = []
     for number, joint in enumerate(description.joints, start=1):
@@ -75,8 +75,8 @@ def _fields(arm: IdentifiedArm, number: JointNumber, joint: Joint) -> Iterator[t
         if isinstance(value := getattr(joint, name), float):
             yield name, value
     if (servo := servo_law(arm, number)) is not None:
-        yield "servo_kp", servo.stiffness
-        yield "servo_kd", servo.damping
+        yield "servo_stiffness", servo.stiffness
+        yield "servo_damping", servo.damping
         yield "servo_delay", servo.delay
         if servo.limit is not None:
             yield "torque_limit", servo.limit

@@ -19,7 +19,7 @@ from strainwave.domain.arm.description import Vector
 from strainwave.domain.arm.kinds.base import Body
 from strainwave.domain.arm.link_sensors.link_space import attitude, axes_about
 from strainwave.export import completion, source
-from strainwave.export.rigid_links import HELD, RigidLink, rigid_links
+from strainwave.export.rigid_links import STICTION, RigidLink, held_parts, rigid_links
 from strainwave.export.source import Export, IdentifiedArm, numbers
 from strainwave.io.templates import fill_text
 
@@ -32,7 +32,7 @@ def to_usd(arm: IdentifiedArm) -> Export:
     Servos are drives. `physxJoint` and `physxJointAxis` hold armature, friction and speed limits.
     """
     links, notes = rigid_links(arm, has_rotors=True)
-    losses = source.losses(arm, [*HELD, "gravity"])
+    losses = source.losses(arm, held_parts(arm, "gravity", STICTION))
     notes = (*notes, *source.loss_note(losses))
     prims = _prim_names([link.name for link in links])
     renamed = [
