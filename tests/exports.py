@@ -186,7 +186,8 @@ def position_servo(folder: Path, known_kp: bool = False) -> tuple[Study, Values]
         **{("servo_kd", 1): 0.03, ("servo_damping", 1): 0.04, ("servo_delay", 1): 0.021},
         **{("gravity_torque_1", None): 0.2, ("torque_limit", 1): 0.75},
     }
-    values |= {} if known_kp else {("servo_kp", 1): 4.8}
+    if not known_kp:
+        values["servo_kp", 1] = 4.8
     servo = PositionServo("position", 0.002, (4.8 if known_kp else UNKNOWN,), (UNKNOWN,))
     arm = replace(study.arm.with_joints((joint,)), position_servo=servo)
     return replace(study, arm=arm), values

@@ -14,15 +14,17 @@ import exports
 from exports import SERVO_DAMPING as DAMPING
 from strainwave.domain import JointLimits
 from strainwave.dynamics.arm import Arm
+from strainwave.export import export_arm
 from strainwave.export.rigid_links import rigid_links
 from strainwave.export.sdf import to_drake, to_sdf
 
 
 @pytest.fixture(scope="module")
 def drake() -> ModuleType:
-    return pytest.importorskip(
+    found: ModuleType = pytest.importorskip(
         "pydrake.multibody.plant", reason="Drake is not installed (pip install drake)"
     )
+    return found
 
 
 def plant_of(drake: ModuleType, data: bytes, gravity: Any = None) -> Any:
@@ -134,3 +136,23 @@ def test_the_servo_is_a_plugin_of_gazebo(tmp_path: Path) -> None:
         **{"joint_name": "joint1", "p_gain": "4.8", "i_gain": "0", "d_gain": str(DAMPING)},
         **{"cmd_max": "0.75", "cmd_min": "-0.75"},
     }
+
+
+@pytest.mark.parametrize("form", ["sdf", "drake"])
+def test_the_export_is_read_back(form: str, drake: ModuleType, tmp_path: Path) -> None:
+    """Value by value; a value that differs, and a file that Drake rejects, are warnings."""
+    out = tmp_path / "arm.txt"
+    export = export_arm(exports.arm_of(*exports.limited_chain(tmp_path)), out, form=form)
+    assert export.read_back is not None
+    assert export.read_back.n_values > 80
+    assert export.read_back.differences == ()
+    assert export.check is not None
+    out.write_text(export.data.decode().replace("<damping>", "<damping>1"))
+    read = export.check(out)
+    assert read is not None
+    assert len(read.differences) == 3
+    assert "joint1 damping" in read.warnings[0].message
+    out.write_text("<sdf>")
+    read = export.check(out)
+    assert read is not None
+    assert read.problem

@@ -14,6 +14,7 @@ import exports
 from exports import SERVO_DAMPING as DAMPING
 from strainwave.domain import FloatArray
 from strainwave.domain.arm.link_sensors.link_space import attitude
+from strainwave.export import export_arm
 from strainwave.export.rigid_links import rigid_links
 from strainwave.export.source import IdentifiedArm
 from strainwave.export.usd import to_usd
@@ -23,7 +24,8 @@ SINGLE = 1e-6  # relative: USD has numbers of single precision
 
 @pytest.fixture(scope="module")
 def pxr() -> ModuleType:
-    return pytest.importorskip("pxr", reason="usd-core is not installed (extra: dev)")
+    found: ModuleType = pytest.importorskip("pxr", reason="usd-core is not installed (extra: dev)")
+    return found
 
 
 def stage_of(arm: IdentifiedArm, folder: Path) -> Any:
@@ -156,3 +158,22 @@ def test_losses_and_renamed_joints_are_in_the_file(pxr: ModuleType, tmp_path: Pa
         assert text in documentation
         assert text in " ".join(export.notes)
     assert {loss.observation for loss in export.losses} >= {"gear", "torque_per_volt"}
+
+
+def test_the_export_is_read_back(pxr: ModuleType, tmp_path: Path) -> None:
+    """Value by value; a value that differs, and a file that USD rejects, are warnings."""
+    out = tmp_path / "arm.txt"
+    export = export_arm(exports.arm_of(*exports.limited_chain(tmp_path)), out, form="usd")
+    assert export.read_back is not None
+    assert export.read_back.n_values > 90
+    assert export.read_back.differences == ()
+    assert export.check is not None
+    out.write_text(export.data.decode().replace("dynamicFrictionEffort = ", "staticEffort = "))
+    read = export.check(out)
+    assert read is not None
+    assert len(read.differences) == 3
+    assert "dynamicFrictionEffort: 2 in the file, nan read" in read.warnings[0].message
+    out.write_text("#usda 1.0\ndef {")
+    read = export.check(out)
+    assert read is not None
+    assert read.problem

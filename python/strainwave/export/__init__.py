@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from strainwave.errors import InvalidInput, suggest_name
-from strainwave.export.actuators import to_isaaclab, to_mjlab, to_pace
+from strainwave.export.actuators import to_actuators
 from strainwave.export.completion import completed
 from strainwave.export.flat import to_c_header, to_json, to_mat, to_script
 from strainwave.export.linear_models import LinearArm, linear_arm, state_space, to_state_space
@@ -58,9 +58,9 @@ _RENDERERS: dict[str, Callable[[IdentifiedArm], Export]] = {
     "sdf": to_sdf,
     "drake": to_drake,
     "simscape": to_simscape,
-    "isaaclab": to_isaaclab,
-    "mjlab": to_mjlab,
-    "pace": to_pace,
+    "isaaclab": partial(to_actuators, form="isaaclab"),
+    "mjlab": partial(to_actuators, form="mjlab"),
+    "pace": partial(to_actuators, form="pace"),
     "state-space": to_state_space,
     "matlab": to_mat,
     "c": to_c_header,

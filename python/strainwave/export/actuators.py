@@ -10,7 +10,6 @@ import json
 import re
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -49,103 +48,35 @@ _MIN_SPREAD = 1e-9  # relative; of a quantity that is not drawn, rounding
 _STEP_S = 0.005  # [s] of a simulation, the default of these packages
 
 
-@dataclass(frozen=True, slots=True)
-class Target:
-    """A package with configurations of actuators."""
+def to_actuators(arm: IdentifiedArm, form: str) -> Export:
+    """Module of actuators for "isaaclab", "mjlab" or "pace".
 
-    title: str
-    checked: str  # versions whose configurations were read back
-    module: str
-    of_servo: str  # class of a position servo
-    of_torque: str  # class of a motor whose torque is the command
-    dry_friction: str
-    viscous_friction: str
-    holds: tuple[str, ...] = ()  # parts in addition to those of rigid links
-
-
-_ISAAC = ("friction", "viscous_friction", (STICTION,))
-TARGETS = {
-    "isaaclab": Target(
-        "Isaac Lab",
-        "Isaac Lab 2.3.2",
-        "isaaclab.actuators",
-        "DelayedPDActuatorCfg",
-        "ImplicitActuatorCfg",
-        *_ISAAC,
-    ),
-    "mjlab": Target(
-        "mjlab",
-        "mjlab 1.6.0",
-        "mjlab.actuator",
-        "BuiltinPositionActuatorCfg",
-        "BuiltinMotorActuatorCfg",
-        "frictionloss",
-        "viscous_damping",
-    ),
-    "pace": Target(
-        "PACE",
-        "PACE of December 2025, Isaac Lab 2.3.2",
-        "pace_sim2real.utils",
-        "PaceDCMotorCfg",
-        "PaceDCMotorCfg",
-        *_ISAAC,
-    ),
-}
-
-
-def to_isaaclab(arm: IdentifiedArm) -> Export:
-    """Module of actuators for Isaac Lab."""
-    return _module(arm, "isaaclab")
-
-
-def to_mjlab(arm: IdentifiedArm) -> Export:
-    """Module of actuators for mjlab."""
-    return _module(arm, "mjlab")
-
-
-def to_pace(arm: IdentifiedArm) -> Export:
-    """Module of actuators for PACE, with the intervals as bounds of its search."""
-    return _module(arm, "pace")
-
-
-def _module(arm: IdentifiedArm, form: str) -> Export:
-    target, (links, notes) = TARGETS[form], rigid_links(arm, has_rotors=True)
-    losses = source.losses(arm, held_parts(arm, DELAY, "gravity", source.ERRORS, *target.holds))
-    if is_rigid_drive(arm.study.arm):
-        notes = (*notes, "the link of a single rigid joint includes its motor: armature is zero")
-    if not all(link.servo for link in links):
-        notes = (
-            *notes,
-            "joints without a position servo: stiffness and damping are zero, the "
-            "command is the torque",
-        )
-    notes = (*notes, *source.loss_note(losses))
+    That for PACE has the intervals as bounds of its search. Raises `InvalidInput` if the gain of a
+    servo is unknown.
+    """
+    links, notes = rigid_links(arm, has_rotors=True)
+    further = () if form == "mjlab" else (STICTION,)
+    losses = source.losses(arm, held_parts(arm, DELAY, "gravity", source.ERRORS, *further))
+    notes += (*_notes(arm, links), *source.loss_note(losses))
     quantities, drawn = _drawn(arm, links)
-    low, high = np.maximum(np.percentile(drawn, _TAIL_PERCENT, axis=0), 0.0).tolist()
+    ends = np.maximum(np.percentile(drawn, _TAIL_PERCENT, axis=0), 0.0).T.tolist()
     intervals = {
-        (name, link.number): pair for (name, link), *pair in zip(quantities, low, high, strict=True)
+        (name, link.number): tuple(pair)
+        for (name, link), pair in zip(quantities, ends, strict=True)
     }
 
-    def interval(name: str, link: RigidLink) -> list[float]:
-        return intervals.get((name, link.number), [_QUANTITIES[name](link) or 0.0] * 2)
+    def interval(name: str, link: RigidLink) -> tuple[float, ...]:
+        return intervals.get((name, link.number), (_QUANTITIES[name](link) or 0.0,) * 2)
 
-    names = {
-        "dry friction": target.dry_friction,
-        "viscous friction": target.viscous_friction,
-    }
     text = fill_text(
         Path(__file__).with_name("actuators.py.j2"),
         form=form,
-        target=target,
         links=links,
         notes=notes,
-        classes=sorted({target.of_servo if link.servo else target.of_torque for link in links}),
-        names={name: names.get(name, name.replace(" ", "_")) for name in _QUANTITIES},
         quantities=quantities,
         intervals=intervals,
         interval=interval,
         delays=[interval("delay", link) for link in links],
-        tuple_of=lambda pair: str(tuple(pair)),
         mean=[_QUANTITIES[name](link) for name, link in quantities],
         std=np.std(drawn, axis=0).tolist(),
         correlation=_correlation(drawn).round(4).tolist(),
@@ -157,6 +88,16 @@ def _module(arm: IdentifiedArm, form: str) -> Export:
     return Export(text.encode(), arm.assumed(), notes, losses)
 
 
+def _notes(arm: IdentifiedArm, links: Sequence[RigidLink]) -> Iterator[str]:
+    """What values that are zero mean."""
+    if is_rigid_drive(arm.study.arm):
+        inertia = arm.values.get(("inertia", 1))
+        total = "" if inertia is None else f"; inertia 1 = {inertia:.4g} has motor and link"
+        yield f"the link of a single rigid joint includes its motor: armature is zero{total}"
+    if links[0].servo is None:
+        yield "without position servos stiffness and damping are zero, and commands are torques"
+
+
 def _drawn(
     arm: IdentifiedArm, links: Sequence[RigidLink]
 ) -> tuple[list[tuple[str, RigidLink]], FloatArray]:
@@ -166,9 +107,9 @@ def _drawn(
     """
     quantities = [(name, link) for link in links for name in _QUANTITIES]
     exported = np.array([_QUANTITIES[name](link) or 0.0 for name, link in quantities])
-    draws = drawn_values(arm, arm.covariance, _N_DRAWS, np.random.default_rng(0))
+    draws = drawn_values(arm, arm.covariance, _N_DRAWS, np.random.default_rng(0))[1:]
     table = np.array([list(_at_joints(arm, values, links)) for values in draws])
-    changes = table[1:] - table[0]
+    changes = table - list(_at_joints(arm, arm.values | arm.identified, links))
     is_drawn = np.std(changes, axis=0) > _MIN_SPREAD * np.abs(exported)
     kept = [entry for entry, is_kept in zip(quantities, is_drawn, strict=True) if is_kept]
     return kept, (exported + changes)[:, is_drawn]

@@ -57,7 +57,8 @@ def compare(reader: str, values: Iterable[Value], tolerance: float = TOLERANCE) 
         a, b = (np.atleast_1d(np.asarray(x, dtype=float)).ravel() for x in (written, read))
         n_values += len(a)
         largest = max(np.abs(a).max(initial=0.0), np.abs(b).max(initial=0.0))
-        if len(a) != len(b) or np.abs(a - b).max(initial=0.0) > tolerance * largest:
+        # also where a value is not a number
+        if len(a) != len(b) or not np.abs(a - b).max(initial=0.0) <= tolerance * largest:
             differences.append(f"{place}: {_numbers(a)} in the file, {_numbers(b)} read")
     return ReadBack(reader, n_values, tuple(differences))
 

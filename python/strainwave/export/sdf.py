@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from xml.sax.saxutils import escape, quoteattr
 
 from strainwave.export import completion, source
+from strainwave.export.read_back_links import by_drake
 from strainwave.export.rigid_links import held_parts, rigid_links
 from strainwave.export.source import Export, IdentifiedArm, numbers
 from strainwave.io.templates import fill_text
@@ -41,5 +43,6 @@ def _model(arm: IdentifiedArm, *, is_drake: bool) -> Export:
         sentence_of=source.sentence_of,
         zip=zip,
     )
+    check = partial(by_drake, links=links, has_rotors=is_drake)
     warnings = arm.assumed() + completion.gravity_warnings(arm)
-    return Export(text.encode(), warnings, notes, losses)
+    return Export(text.encode(), warnings, notes, losses, check)

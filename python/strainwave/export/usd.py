@@ -10,15 +10,16 @@ import json
 import math
 import re
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from strainwave.domain import FloatArray
 from strainwave.domain.arm.description import Vector
-from strainwave.domain.arm.kinds.base import Body
 from strainwave.domain.arm.link_sensors.link_space import attitude, axes_about
 from strainwave.export import completion, source
+from strainwave.export.read_back_links import by_usd, inertia_of
 from strainwave.export.rigid_links import STICTION, RigidLink, held_parts, rigid_links
 from strainwave.export.source import Export, IdentifiedArm, numbers
 from strainwave.io.templates import fill_text
@@ -51,8 +52,9 @@ def to_usd(arm: IdentifiedArm) -> Export:
         principal=_principal,
         tuple_of=_tuple,
     )
+    check = partial(by_usd, links=dict(zip(prims, links, strict=True)))
     warnings = arm.assumed() + completion.gravity_warnings(arm)
-    return Export(text.encode(), warnings, notes, losses)
+    return Export(text.encode(), warnings, notes, losses, check)
 
 
 def _placements(links: Sequence[RigidLink]) -> list[tuple[FloatArray, FloatArray]]:
@@ -65,10 +67,9 @@ def _placements(links: Sequence[RigidLink]) -> list[tuple[FloatArray, FloatArray
     return placements
 
 
-def _principal(body: Body) -> tuple[FloatArray, FloatArray]:
-    """Principal moments of inertia of a body, and the quaternion of its principal axes."""
-    xx, yy, zz, xy, xz, yz = body.inertia
-    moments, axes = np.linalg.eigh(np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]))
+def _principal(link: RigidLink) -> tuple[FloatArray, FloatArray]:
+    """Principal moments of inertia of a link, and the quaternion of its principal axes."""
+    moments, axes = np.linalg.eigh(inertia_of(link))
     axes[:, 2] *= np.linalg.det(axes)  # right-handed
     return moments, _quaternion(axes)
 
