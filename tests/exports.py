@@ -179,13 +179,14 @@ def position_servo(folder: Path, known_kp: bool = False) -> tuple[Study, Values]
     """One joint behind a position servo; its gain is known from the study, or identified."""
     study, values = single(folder, gravity=9.81)
     joint = replace(study.arm.joints[0], gear_ratio=1.0)
-    values |= {
-        **{("motor_inertia", 1): 0.0, ("link_inertia", 1): 0.003, ("inertia", 1): 0.003},
-        **{("motor_viscous_friction", 1): 0.01, ("link_viscous_friction", 1): 0.0},
-        **{("motor_coulomb_friction", 1): 0.024, ("friction_offset", 1): 0.0},
-        **{("servo_kd", 1): 0.03, ("servo_damping", 1): 0.04, ("servo_delay", 1): 0.021},
-        **{("gravity_torque_1", None): 0.2, ("torque_limit", 1): 0.75},
+    of_joint = {
+        **{"motor_inertia": 0.0, "link_inertia": 0.003, "inertia": 0.003, "friction_offset": 0.0},
+        **{"motor_viscous_friction": 0.01, "link_viscous_friction": 0.0, "servo_delay": 0.021},
+        **{"motor_coulomb_friction": 0.024, "servo_kd": 0.03, "servo_damping": 0.04},
+        "torque_limit": 0.75,
     }
+    values |= {(name, 1): value for name, value in of_joint.items()}
+    values["gravity_torque_1", None] = 0.2
     if not known_kp:
         values["servo_kp", 1] = 4.8
     servo = PositionServo("position", 0.002, (4.8 if known_kp else UNKNOWN,), (UNKNOWN,))

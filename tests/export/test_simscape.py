@@ -59,7 +59,7 @@ def test_every_value_of_a_chain_is_assigned(tmp_path: Path) -> None:
         }
         wanted |= {k: v for k, v in of_joint.items() if "link" not in k or "viscous" in k}
         xx, yy, zz, xy, xz, yz = body.inertia
-        bodies = {
+        bodies: Fields = {
             "mass": body.mass,
             "center_of_mass": body.centre,
             "moments_of_inertia": (xx, yy, zz),
