@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
@@ -141,7 +142,7 @@ def test_a_position_servo_moves_as_its_sampled_law(
 
     def command(time: float) -> float:
         parts = ((0.05, 2.0), (0.03, 7.0), (0.01, 19.0))  # [rad], [Hz]
-        return sum(x * np.sin(2.0 * np.pi * hz * max(time, 0.0)) for x, hz in parts)
+        return sum(x * math.sin(math.tau * hz * max(time, 0.0)) for x, hz in parts)
 
     def by_law() -> FloatArray:
         data, found = mujoco.MjData(torque), []
@@ -209,8 +210,6 @@ def test_the_command_takes_a_version(tmp_path: Path) -> None:
     from command_line import run_here
 
     study = exports.two_links(tmp_path, "cubic")
-    result = exports.write(study, exports.values_of(exports.two_links(tmp_path)) | CURVED)
-    exports.write_study(study, study.path)
     result = exports.write(study, exports.values_of(exports.two_links(tmp_path)) | CURVED)
     out = tmp_path / "arm.xml"
     arguments = ["export", str(result), "--out", str(out), "--mujoco"]

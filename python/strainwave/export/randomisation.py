@@ -110,8 +110,8 @@ def drawn_arms(arm: IdentifiedArm, n_draws: int, seed: int = 0) -> tuple[Identif
 
 def _with_values(arm: IdentifiedArm, values: Values) -> IdentifiedArm | None:
     """The arm with drawn values; None if no bodies near those of the result have them."""
-    standard = arm.standard
-    if standard and (standard := _drawn_standard(arm, values)) is None:
+    standard = _drawn_standard(arm, values) if arm.standard else {}
+    if standard is None:
         return None
     rigid = arm.rigid
     if rigid is not None:
@@ -177,7 +177,7 @@ def to_randomisation(
     """
     keys, root = _root(arm, arm.covariance)
     parameters = {p.key: p for p in arm.parameters}
-    factor = np.linalg.qr(root.T, mode="r").T
+    factor = np.asarray(np.linalg.qr(root.T, mode="r")).T
     factor *= np.where(np.diag(factor) < 0.0, -1.0, 1.0)
     document: dict[str, Any] = {
         "schema": _SCHEMA,

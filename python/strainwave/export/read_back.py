@@ -165,7 +165,7 @@ def _of_mjcf(model: Any, root: ET.Element) -> Iterator[Value]:
 
 
 def _attributes(
-    model: Any, element: ET.Element, at: int, fields: dict[str, tuple[str, ...]]
+    model: Any, element: ET.Element, at: int, fields: Mapping[str, tuple[str, ...]]
 ) -> Iterator[Value]:
     for name in fields.keys() & element.attrib.keys():
         written = _vector(element, name)
