@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from importlib.metadata import version
@@ -87,11 +88,16 @@ def by_drake(path: Path, links: Sequence[RigidLink], *, has_rotors: bool) -> Rea
     from pydrake.multibody.plant import MultibodyPlant
 
     reader, plant = f"Drake {version('drake')}", MultibodyPlant(0.0)
+    log = logging.getLogger("drake")
+    level = log.level
+    log.setLevel(logging.ERROR)  # it warns of each element of Gazebo that it does not have
     try:
         Parser(plant).AddModelsFromString(path.read_text("utf-8"), "sdf")
         plant.Finalize()
     except RuntimeError as error:
         return ReadBack(reader, problem=" ".join(str(error).split()))
+    finally:
+        log.setLevel(level)
     return compare(reader, _of_plant(plant, links, has_rotors=has_rotors))
 
 

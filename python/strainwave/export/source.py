@@ -23,6 +23,7 @@ from strainwave.domain import (
 from strainwave.domain.arm.base_parameters import MOTOR_INERTIA, base_parameters
 from strainwave.domain.arm.combinations import is_rigid_drive, lumped_inertias, rigid_columns
 from strainwave.domain.arm.description import Urdf
+from strainwave.domain.arm.gear_laws import gear_parameters
 from strainwave.domain.arm.kinds import kind_of
 from strainwave.domain.arm.link_sensors import key_texts, sensor_constants
 from strainwave.domain.arm.parameter_table import base_name, family_of
@@ -351,8 +352,7 @@ def losses(arm: IdentifiedArm, held: Collection[str]) -> tuple[Diagnostic, ...]:
         name = base_name(p.name)
         is_sum = name == "total_viscous_friction" or family_of(name) in ("inertia", "gravity")
         if p.value is not None and (not is_sum or name == "motor_inertia"):
-            is_gear = name == "gear_damping" or family_of(name) == "stiffness"
-            is_gear |= p.joint is not None and name in arm.joint(p.joint).law.names
+            is_gear = name == "gear_damping" or name in gear_parameters()
             part = GEAR if is_gear else SENSORS if name in sensor_constants() else name
             parts.setdefault(part, set()).update(() if p.joint is None else (p.joint,))
     for number, joint in enumerate(arm.study.arm.joints, start=1):

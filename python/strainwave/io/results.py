@@ -333,8 +333,8 @@ def rigid_model_of(document: Mapping[str, Any], n_parameters: int) -> RigidModel
     if "prediction" not in table or table.get("status") == "not-identifiable":
         return None
     entry = _read(RigidEntry, table, "the result: stages.rigid")
-    if entry.prediction is None:
-        return None
+    if entry.prediction is None or not np.size(entry.prediction.motion):
+        return None  # servos without a torque log have parameters, and no torques
     solution, motion = np.array(entry.prediction.solution), np.array(entry.prediction.motion)
     if solution.shape != (n_parameters,) or motion.ndim != 3 or len(motion) != 3:
         raise InvalidInput(
