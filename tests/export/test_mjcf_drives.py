@@ -79,15 +79,17 @@ def test_effects_move_as_in_the_simulation(mujoco: ModuleType, name: str, tmp_pa
 
 
 @pytest.mark.parametrize(
-    ("version", "lost"),
+    ("version", "needed", "lost"),
     [
-        ("3", {"curvature of the gear", "hysteresis", "torque-ripple"}),
-        ("3.7", {"hysteresis", "torque-ripple"}),
-        ("3.12.0", {"hysteresis"}),
-        ("4", set()),
+        ("3", "3", {"curvature of the gear", "hysteresis", "torque-ripple"}),
+        ("3.7", "3.7", {"hysteresis", "torque-ripple"}),
+        ("3.12.0", "3.12", {"hysteresis"}),
+        ("4", "4.0", set()),
     ],
 )
-def test_the_version_decides_what_is_lost(version: str, lost: set[str], tmp_path: Path) -> None:
+def test_the_version_decides_what_is_lost(
+    version: str, needed: str, lost: set[str], tmp_path: Path
+) -> None:
     study = with_effects(exports.two_links(tmp_path, "cubic"), ("hysteresis", "torque-ripple"))
     values = exports.values_of(exports.two_links(tmp_path)) | CURVED
     for name in ("hysteresis", "torque-ripple"):
@@ -101,6 +103,7 @@ def test_the_version_decides_what_is_lost(version: str, lost: set[str], tmp_path
     assert ('springyield="' in text) == ("hysteresis" not in lost)
     assert ("<dcmotor" in text) == ("torque-ripple" not in lost)
     assert all(part in text for part in lost)  # in the comment of the file
+    assert f"The file needs MuJoCo {needed} or later" in text or needed == "3"
     codes = [warning.code for warning in export.warnings]
     assert ("linearised" in codes) == ("curvature of the gear" in lost)
 

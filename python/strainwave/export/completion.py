@@ -256,7 +256,9 @@ def _with_projected_friction(
             continue
         projection = project_friction(wanted, v, is_polynomial=has_powers and bool(effects))
         if effects:
-            powers = ", and damping with powers, read by MuJoCo 4" if projection[3:].any() else ""
+            powers = (
+                ", and damping with powers, read since MuJoCo 3.7" if projection[3:].any() else ""
+            )
             notes.append(
                 f"projected: {', '.join(sorted(effects))} (joint {i + 1}): friction has viscous, "
                 f"Coulomb and constant torque{powers}, nearest over the recorded motion"

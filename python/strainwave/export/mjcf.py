@@ -94,10 +94,17 @@ def to_mjcf(arm: IdentifiedArm, target: Target | None = None) -> Export:
     for number, _ in joints:
         _sensors(sensors, arm, number, is_shared=number in shared)
     warnings = arm.assumed() + drives.approximations(arm, target)
+    of_version = drives.note_of_version(mujoco)
+    for k, note in enumerate(of_version, start=1):
+        mujoco.insert(k, ET.Comment(f" {source.sentence_of(note)} "))
     ET.indent(mujoco)
     data: bytes = ET.tostring(mujoco, encoding="utf-8", xml_declaration=True)
     return Export(
-        data + b"\n", warnings + completion.gravity_warnings(arm), notes, losses, by_mujoco
+        data + b"\n",
+        warnings + completion.gravity_warnings(arm),
+        (*notes, *of_version),
+        losses,
+        by_mujoco,
     )
 
 

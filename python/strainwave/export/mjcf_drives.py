@@ -32,7 +32,7 @@ _FAR = 1e9  # [rad or m] of a spring: its force is constant to 1e-9 per radian
 _ELEMENTS = {
     "armature": ((3, 3, 1), "tendon/fixed armature"),
     "delay": ((3, 5, 0), "actuator delay"),
-    "polynomial": ((3, 7, 0), "stiffness of three coefficients"),
+    "polynomial": ((3, 7, 0), "stiffness and damping of three coefficients"),
     "ripple": ((3, 12, 0), 'dcmotor input="none"'),
     "hysteresis": ((4, 0, 0), "springyield"),
 }
@@ -72,15 +72,35 @@ class Target:
 
     def loss(self, part: str, element: str, joints: list[JointNumber]) -> Diagnostic:
         """The loss of a part for which a later version has the element."""
-        since, attribute = _ELEMENTS[element]
-        text = ".".join(map(str, since[: 3 if since[2] else 2]))
-        return source.loss(part, joints, "version", since=text, element=attribute)
+        since, attribute = _since(element)
+        return source.loss(part, joints, "version", since=since, element=attribute)
 
     @property
     def effects(self) -> frozenset[str]:
         """Effects that the file has."""
         later = (name for name, element in _EFFECT_ELEMENTS.items() if self.has(element))
         return frozenset((*_EXACT_EFFECTS, *later))
+
+
+def _since(element: str) -> tuple[str, str]:
+    """First version that reads an element, and its attribute."""
+    version, attribute = _ELEMENTS[element]
+    return ".".join(map(str, version[: 3 if version[2] else 2])), attribute
+
+
+def note_of_version(root: ET.Element) -> tuple[str, ...]:
+    """A note on the oldest version that reads a file; none if all of 3 do."""
+    used = {"armature": any("armature" in fixed.attrib for fixed in root.iter("fixed"))}
+    used["delay"] = root.find("actuator/*[@delay]") is not None
+    forces = [e.get(name, "") for e in root.iter() for name in ("stiffness", "damping")]
+    used["polynomial"] = any(len(force.split()) > 1 for force in forces)
+    used["ripple"] = root.find("actuator/dcmotor") is not None
+    used["hysteresis"] = root.find("tendon/*[@springyield]") is not None
+    newest = max((e for e in _ELEMENTS if used[e]), key=lambda e: _ELEMENTS[e][0], default=None)
+    if newest is None:
+        return ()
+    since, attribute = _since(newest)
+    return (f"the file needs MuJoCo {since} or later: {attribute}",)
 
 
 def has_effect(arm: IdentifiedArm, number: JointNumber, name: str) -> bool:
