@@ -177,6 +177,21 @@ def test_a_name_is_an_expression_that_matches_itself_alone(tmp_path: Path) -> No
     assert not re.fullmatch(expression, 'a-b "c"')
 
 
+@pytest.mark.usefixtures("packages")
+def test_stribeck_friction_is_static_friction(tmp_path: Path) -> None:
+    """Where the package has it: mjlab has Coulomb friction alone, and says so."""
+    study, values = exports.limited_chain(tmp_path)
+    arm = exports.arm_of(study, values | {("stribeck_friction", 2): 0.03})
+    ratio = abs(study.arm.joints[1].gear_ratio)
+    for form in ("isaaclab", "pace"):
+        config = module_of(arm, form, tmp_path)["ACTUATORS"]["joint2"]
+        assert config.friction == pytest.approx(0.07 / ratio)
+        assert config.dynamic_friction == pytest.approx(0.04 / ratio)
+    lost = [loss.observation for loss in to_actuators(arm, "mjlab").losses]
+    assert "stribeck_friction" in lost
+    assert "stribeck_friction" not in [x.observation for x in to_actuators(arm, "pace").losses]
+
+
 def test_losses_and_versions_are_in_the_file(tmp_path: Path) -> None:
     export = to_actuators(elastic_arm(tmp_path), "isaaclab")
     assert [loss.observation for loss in export.losses][:1] == ["friction_offset"]

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from strainwave.domain import Joint, JointLimits
+from strainwave.domain import Diagnostic, Joint, JointLimits
 from strainwave.domain.arm.kinds.base import Body
 from strainwave.domain.keys import JointNumber
 from strainwave.errors import InvalidInput
+from strainwave.export import source
 from strainwave.export.mjcf_drives import servo_gains
 from strainwave.export.source import IdentifiedArm
 from strainwave.export.urdf import projected_links
@@ -22,6 +23,11 @@ _HELD = (
 def held_parts(arm: IdentifiedArm, *further: str) -> set[str]:
     """Parts of an arm that formats of rigid links hold, and `further` ones of one format."""
     return {*_HELD, *further, *["servo"] * (arm.study.arm.position_servo is not None)}
+
+
+def lost_shapes(arm: IdentifiedArm) -> tuple[Diagnostic, ...]:
+    """The loss of formats that do not have the meshes of the study's URDF."""
+    return () if arm.study.arm.urdf is None else (source.loss("meshes of the URDF"),)
 
 
 @dataclass(frozen=True, slots=True)

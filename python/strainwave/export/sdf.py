@@ -8,7 +8,7 @@ from xml.sax.saxutils import escape, quoteattr
 
 from strainwave.export import completion, source
 from strainwave.export.read_back_links import by_drake
-from strainwave.export.rigid_links import held_parts, rigid_links
+from strainwave.export.rigid_links import held_parts, lost_shapes, rigid_links
 from strainwave.export.source import Export, IdentifiedArm, numbers
 from strainwave.io.templates import fill_text
 
@@ -29,7 +29,7 @@ def to_drake(arm: IdentifiedArm) -> Export:
 def _model(arm: IdentifiedArm, *, is_drake: bool) -> Export:
     links, notes = rigid_links(arm, has_rotors=is_drake)
     held = held_parts(arm) - ({"motor_coulomb_friction"} if is_drake else set())
-    losses = source.losses(arm, held)
+    losses = source.losses(arm, held) + lost_shapes(arm)
     notes = (*notes, *source.loss_note(losses))
     text = fill_text(
         Path(__file__).with_name("arm.sdf.j2"),

@@ -20,7 +20,7 @@ from strainwave.domain.arm.description import Vector
 from strainwave.domain.arm.link_sensors.link_space import attitude, axes_about
 from strainwave.export import completion, source
 from strainwave.export.read_back_links import by_usd, inertia_of
-from strainwave.export.rigid_links import STICTION, RigidLink, held_parts, rigid_links
+from strainwave.export.rigid_links import STICTION, RigidLink, held_parts, lost_shapes, rigid_links
 from strainwave.export.source import Export, IdentifiedArm, numbers
 from strainwave.io.templates import fill_text
 
@@ -33,7 +33,7 @@ def to_usd(arm: IdentifiedArm) -> Export:
     Servos are drives. `physxJoint` and `physxJointAxis` hold armature, friction and speed limits.
     """
     links, notes = rigid_links(arm, has_rotors=True)
-    losses = source.losses(arm, held_parts(arm, "gravity", STICTION))
+    losses = source.losses(arm, held_parts(arm, "gravity", STICTION)) + lost_shapes(arm)
     notes = (*notes, *source.loss_note(losses))
     prims = _prim_names([link.name for link in links])
     renamed = [
