@@ -333,8 +333,8 @@ def rigid_model_of(document: Mapping[str, Any], n_parameters: int) -> RigidModel
     if "prediction" not in table or table.get("status") == "not-identifiable":
         return None
     entry = _read(RigidEntry, table, "the result: stages.rigid")
-    if entry.prediction is None or not np.size(entry.prediction.motion):
-        return None  # servos without a torque log have parameters, and no torques
+    if entry.prediction is None:
+        return None
     solution, motion = np.array(entry.prediction.solution), np.array(entry.prediction.motion)
     if solution.shape != (n_parameters,) or motion.ndim != 3 or len(motion) != 3:
         raise InvalidInput(
@@ -471,7 +471,8 @@ def _rigid(model: RigidModel) -> RigidEntry:
         torque_ratio=next((ratio for ratio in ratios if ratio.joint == 2), None),
         torque_ratios=ratios,
         torque_errors=tuple(JointValue(joint=i, value=x) for i, x in model.torque_errors.items()),
-        prediction=PredictionEntry.of(model),
+        # servos without a torque log have parameters, and predict no torques
+        prediction=PredictionEntry.of(model) if model.motion.size else None,
     )
 
 
