@@ -16,7 +16,7 @@ import numpy as np
 from strainwave.domain import BoolArray, FloatArray, SearchEnd
 from strainwave.domain.keys import Key, Values
 from strainwave.errors import InvalidInput, NumericalFailure
-from strainwave.identification.position_servo.loop import LoopInputs, ServoLoop
+from strainwave.identification.position_servo.loop import LIMIT, LoopInputs, ServoLoop
 from strainwave.identification.position_servo.records import Segment
 from strainwave.identification.position_servo.states import MIN_STATE_EFFECT
 from strainwave.numerics.linalg import triangular_factor
@@ -55,7 +55,7 @@ class SegmentRows:
     jacobian: FloatArray  # (n_rows, n_unknowns)
     # best change of the state per change of the unknowns, and, last, as it is
     to_state: FloatArray  # (n_states, n_unknowns + 1)
-    saturated: FloatArray  # (n_joints,)
+    saturated: BoolArray  # (n_joints,) whether the output reaches its limit
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -185,17 +185,17 @@ class _Problem:
         loop, segment, size = self.loop, self.segments[k], self.deviations[k]
         run = loop.simulate(inputs, segment, state, derive=True)
         columns = []
-        index = {key: i for i, key in enumerate(loop.directions)}
+        index = {key: i for i, key in enumerate(loop.directions[: run.derivatives.shape[-1]])}
         for j, unknown in enumerate(self.unknowns):
             if j in changed:
-                is_limit = unknown.keys[0][0] == "torque_limit"
+                is_limit = unknown.keys[0][0] == LIMIT
                 if is_limit and not run.saturated.any():
                     columns.append(np.zeros_like(run.angle))
                     continue
                 other = loop.simulate(changed[j], segment, state).angle
                 columns.append((other - run.angle) / steps[j])
                 continue
-            weights = np.zeros(len(index))
+            weights = np.zeros(run.derivatives.shape[-1])
             for key in unknown.keys:
                 for part, weight in (loop.row(key, inputs) or {}).items():
                     weights[index[part]] += weight
