@@ -11,8 +11,7 @@ import pytest
 
 import exports
 from strainwave.domain.arm.link_sensors.link_space import attitude
-from strainwave.errors import InvalidInput
-from strainwave.export import IdentifiedArm
+from strainwave.export import IdentifiedArm, export_arm
 from strainwave.export.completion import link_bodies
 from strainwave.export.simscape import to_simscape
 
@@ -96,13 +95,13 @@ def test_servos_are_assigned(tmp_path: Path) -> None:
         assert fields["joints(1).torque_limit"] == 0.75
 
 
-def test_ratios_are_refused(tmp_path: Path) -> None:
-    """Without the gain of the servo the result has no torques."""
+def test_ratios_have_a_gain_of_one_and_a_note(tmp_path: Path) -> None:
+    """Without the gain of the servo the result has no torques; the motion is the same."""
     study, values = exports.position_servo(tmp_path)
     del values["servo_kp", 1]
-    with pytest.raises(InvalidInput, match="gain of servo 1 is not determined") as refusal:
-        to_simscape(exports.arm_of(study, values))
-    assert "payload" in str(refusal.value.remedy)
+    export = export_arm(exports.arm_of(study, values), tmp_path / "arm.m", form="simscape")
+    assert "per N m/rad of servo 1's gain, which is not determined" in export.notes[0]
+    assert b"servo_stiffness = 1.0;" in export.data
 
 
 def test_losses_are_comments(tmp_path: Path) -> None:

@@ -20,7 +20,14 @@ from strainwave.domain.arm.combinations import is_rigid_drive
 from strainwave.domain.keys import Values
 from strainwave.export import source
 from strainwave.export.randomisation import drawn_values
-from strainwave.export.rigid_links import DELAY, STICTION, RigidLink, held_parts, rigid_links
+from strainwave.export.rigid_links import (
+    DELAY,
+    STICTION,
+    RigidLink,
+    held_parts,
+    no_torques,
+    rigid_links,
+)
 from strainwave.export.source import Export, IdentifiedArm
 from strainwave.export.urdf import NO_LIMIT
 from strainwave.io.templates import fill_text
@@ -55,6 +62,9 @@ def to_actuators(arm: IdentifiedArm, form: str) -> Export:
     servo is unknown.
     """
     links, notes = rigid_links(arm, has_rotors=True)
+    for link in links:
+        if link.servo and link.servo.is_relative:  # other bodies have no such unit
+            raise no_torques(arm, link.number)
     further = () if form == "mjlab" else (STICTION,)
     losses = source.losses(arm, held_parts(arm, DELAY, "gravity", source.ERRORS, *further))
     notes += (*_notes(arm, links), *source.loss_note(losses))

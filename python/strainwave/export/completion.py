@@ -186,6 +186,13 @@ def completed(
             if form not in FORMATS_OF_RIGID_LINKS:  # they have other friction
                 bodies = body_torques(arm, rigid.motion, effective_gravity(arm))
                 notes.append(loss_note(arm, bodies + motor_friction(arm, rigid.motion)))
+    servo = description.position_servo
+    for number in range(1, description.n_joints + 1):
+        if servo and servo.gain(number) is None and ("servo_kp", number) not in values:
+            notes.append(
+                f"torques, inertias, masses and friction are per N m/rad of servo {number}'s gain, "
+                "which is not determined: the motion is that of the arm, forces are not"
+            )
     law_keys = [(name, i + 1) for i, j in enumerate(description.joints) for name in j.law.names]
     listed = [
         f"{label_of(*key)} = {values[key]:.4g} {unit_in(description, key)}"

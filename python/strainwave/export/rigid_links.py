@@ -43,6 +43,7 @@ class ServoLaw:
     damping: float  # [N m s/rad, N s/m]; with the viscous friction, unless that is known
     limit: float | None  # [N m, N]
     delay: float  # [s]
+    is_relative: bool  # torques are per gain: the stiffness is 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,18 +108,25 @@ def _breakaway(arm: IdentifiedArm, number: JointNumber) -> float:
 def servo_law(arm: IdentifiedArm, number: JointNumber) -> ServoLaw | None:
     """The position servo of a joint; None without.
 
-    Raises `InvalidInput` if its gain is unknown: then the result has ratios, and no torques.
+    Raises `InvalidInput` if its gain is unknown, and torques of several joints are relative to
+    different gains. A single joint has the same motion with a gain of 1.
     """
     servo = arm.study.arm.position_servo
     if servo is None:
         return None
     gains, late = servo_gains(arm, number, servo), 0.5 * servo.period
-    if gains.is_relative:
-        raise InvalidInput(
-            f"the gain of servo {number} is not determined: the result has ratios, and no torques",
-            where=f"{arm.source}: servo_kp {number}",
-            remedy="give kp in the study, or identify with a record that has a known payload; MJCF "
-            "has the ratios",
-        )
+    if gains.is_relative and arm.study.arm.n_joints > 1:
+        raise no_torques(arm, number)
     damping = max(gains.damping - late * gains.stiffness, 0.0)
-    return ServoLaw(gains.stiffness, damping, gains.limit, gains.delay + late)
+    return ServoLaw(
+        gains.stiffness, damping, gains.limit, gains.delay + late, is_relative=gains.is_relative
+    )
+
+
+def no_torques(arm: IdentifiedArm, number: JointNumber) -> InvalidInput:
+    """The refusal of a format that needs torques where the result has ratios to a gain."""
+    return InvalidInput(
+        f"the gain of servo {number} is not determined: the result has ratios, and no torques",
+        where=f"{arm.source}: servo_kp {number}",
+        remedy="give kp in the study, or identify with a record that has a known payload",
+    )
