@@ -18,6 +18,7 @@ from strainwave.domain.study import study_keys, study_options
 
 HERE = Path(__file__).parent
 _WIDTH = 120  # columns
+_HEADINGS = {"position_servo": "### Servos without torque"}  # others are `## [table]`
 
 
 def with_warnings(page: str) -> str:
@@ -48,8 +49,9 @@ def _renewed_section(text: str) -> str:
 
 def with_study_keys(page: str) -> str:
     """The page with the tables of the keys of a study, and of its options."""
-    for table in ("arm", "joint", "servo"):
-        title = next(line for line in page.splitlines() if re.match(rf"## \[+{table}\]", line))
+    for table in ("arm", "joint", "servo", "position_servo"):
+        heading = _HEADINGS.get(table, rf"## \[+{table}\]")
+        title = next(line for line in page.splitlines() if re.match(heading, line))
         head, title, rest = page.partition(f"{title}\n")
         rows = [
             f"| `{each.key}` | {each.unit} | {each.default} | {each.meaning} |"

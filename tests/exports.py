@@ -10,8 +10,18 @@ from pathlib import Path
 import numpy as np
 
 from serial_chains import parameters_of, random_body
-from strainwave.domain import ArmDescription, Experiment, Joint, Motion, Origin, Spring, Study
-from strainwave.domain.arm.description import Matrix, unit_of
+from strainwave.domain import (
+    ArmDescription,
+    Experiment,
+    Joint,
+    JointLimits,
+    Motion,
+    Origin,
+    PositionServo,
+    Spring,
+    Study,
+)
+from strainwave.domain.arm.description import UNKNOWN, Matrix, unit_of
 from strainwave.domain.arm.kinds import change_arm_keys, single_joint
 from strainwave.domain.arm.kinds.base import LINK_PARAMETERS
 from strainwave.domain.keys import Values
@@ -20,6 +30,10 @@ from strainwave.io.base_parameters import standard_name
 from strainwave.io.study import write_study
 from strainwave.virtual import scara
 
+SERVO_UNITS = {
+    **{"servo_kp": "N m/rad", "servo_kd": "N m s/rad", "servo_damping": "N m s/rad"},
+    **{"servo_delay": "s", "torque_limit": "N m"},
+}
 MOTION = Experiment("motion", "motion.csv", "motion", ("servo",))
 
 
@@ -75,7 +89,8 @@ def document(study: Study, values: Values) -> dict[str, object]:
             "value": value,
             "std": 0.01 * abs(value),
             "ci95": None,
-            "unit": "kg m^2" if joint is None else unit_of(name, study.arm.joints[joint - 1]),
+            "unit": SERVO_UNITS.get(name)
+            or ("kg m^2" if joint is None else unit_of(name, study.arm.joints[joint - 1])),
             "stage": "tuned",
         }
         for (name, joint), value in values.items()
@@ -144,3 +159,36 @@ def chain(
         values |= {(f"link_{name}", i): float(value) for name, value in body}
     experiment = replace(MOTION, control=("open",) * 3)
     return Study(arm=arm, experiments=(experiment,), path=folder / "study.toml"), values
+
+
+def limited_chain(folder: Path, motions: Motions = MOTIONS[0]) -> tuple[Study, Values]:
+    """A chain behind rigid gears with dry friction, and limits of the first two joints."""
+    study, values = chain(folder, ("rigid",) * 3, motions)
+    limits = JointLimits(-1.5, 2.0, 3.0, 80.0), JointLimits(0.1, 0.6), None
+    joints = (replace(j, limits=each) for j, each in zip(study.arm.joints, limits, strict=True))
+    values |= {("motor_coulomb_friction", i): 0.02 * i for i in (1, 2, 3)}
+    values |= {("friction_offset", i): 0.0 for i in (1, 2, 3)}
+    return replace(study, arm=study.arm.with_joints(joints)), values
+
+
+SERVO_DAMPING = 0.03 - 0.5 * 0.002 * 4.8
+"""Of the law in continuous time that is nearest to the servo, which holds its output for 2 ms."""
+
+
+def position_servo(folder: Path, known_kp: bool = False) -> tuple[Study, Values]:
+    """One joint behind a position servo; its gain is known from the study, or identified."""
+    study, values = single(folder, gravity=9.81)
+    joint = replace(study.arm.joints[0], gear_ratio=1.0)
+    of_joint = {
+        **{"motor_inertia": 0.0, "link_inertia": 0.003, "inertia": 0.003, "friction_offset": 0.0},
+        **{"motor_viscous_friction": 0.01, "link_viscous_friction": 0.0, "servo_delay": 0.021},
+        **{"motor_coulomb_friction": 0.024, "servo_kd": 0.03, "servo_damping": 0.04},
+        "torque_limit": 0.75,
+    }
+    values |= {(name, 1): value for name, value in of_joint.items()}
+    values["gravity_torque_1", None] = 0.2
+    if not known_kp:
+        values["servo_kp", 1] = 4.8
+    servo = PositionServo("position", 0.002, (4.8 if known_kp else UNKNOWN,), (UNKNOWN,))
+    arm = replace(study.arm.with_joints((joint,)), position_servo=servo)
+    return replace(study, arm=arm), values

@@ -148,11 +148,17 @@ def test_examples_run(example: Path, demo: Path) -> None:
 def test_every_key_of_a_study_is_documented() -> None:
     from dataclasses import fields
 
-    from strainwave.domain import Experiment, Joint, Servo
+    from strainwave.domain import Experiment, Joint, PositionServo, Servo
     from strainwave.domain.arm.kinds import KINDS
 
     page = (ROOT / "docs" / "study.md").read_text(encoding="utf-8")
-    for record in (*(kind.table for kind in KINDS.values()), Joint, Servo, Experiment):
+    for record in (
+        *(kind.table for kind in KINDS.values()),
+        Joint,
+        Servo,
+        PositionServo,
+        Experiment,
+    ):
         for field in fields(record):
             if field.name in ("origin", "axis", "torque_at_link"):
                 continue  # the kinds place the joints, and the channels tell the side of a torque

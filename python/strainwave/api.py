@@ -620,15 +620,25 @@ class Result:
         """Test whether another result of the same arm differs significantly; see `compare`."""
         return compare([self, other], level)
 
-    def export(self, path: Path | str, format: str | None = None) -> tuple[str, ...]:
-        """Write the arm for another program; returns notes on the parts that the format omits.
+    def export(
+        self,
+        path: Path | str,
+        format: str | None = None,
+        *,
+        randomise: int = 0,
+        seed: int = 0,
+        mujoco: str | None = None,
+    ) -> tuple[str, ...]:
+        """Write the arm for another program; returns notes on the parts that the format loses.
 
         The ending of `path` determines the format: .xml (MuJoCo), .urdf, .m and .mat (MATLAB), .h
-        (C), .json; or `format` does, see docs/export.md.
+        (C), .json; or `format` does, see docs/export.md. `randomise` arms drawn from the joint
+        covariance follow in files of their own. `mujoco` is the version that an MJCF is for.
         """
         from strainwave.export import export_arm
 
-        written = export_arm(self._arm(), Path(path), form=format)
+        options: dict[str, Any] = {"randomise": randomise, "seed": seed, "mujoco": mujoco}
+        written = export_arm(self._arm(), Path(path), form=format, **options)
         return (*(each.message for each in written.warnings), *written.notes)
 
     def tune(

@@ -218,19 +218,31 @@ def export(
     result: ResultFile,
     out: Annotated[Path, _option("export.out")],
     form: Annotated[str | None, _option("export.form", "--format")] = None,
+    randomise: Annotated[int, _option("export.randomise")] = 0,
+    seed: Annotated[int, _option("export.seed")] = 0,
+    mujoco: Annotated[str | None, _option("export.mujoco")] = None,
     study: ChangedStudy = None,
     quiet: Quiet = False,
 ) -> None:
-    """Export an arm to MuJoCo, URDF, MATLAB, C or JSON."""
+    """Export an arm to simulators, URDF, MATLAB, C or JSON."""
     from strainwave.export import export_file
 
-    written = export_file(result, out, form=form, study=study)
+    written = export_file(
+        result, out, form=form, study=study, randomise=randomise, seed=seed, mujoco=mujoco
+    )
     if not quiet:
         typer.echo(f"the arm is in {out}")
+        if written.read_back:
+            typer.echo(written.read_back.text)
         for warning in written.warnings:
             typer.echo(f"warning: {warning.where}: {warning.message}")
         for note in written.notes:
             typer.echo(f"note: {note}")
+    for each in written.losses_of_version:
+        message = f"MuJoCo {mujoco} lacks an element for {each.message}; give that version"
+        typer.echo(f"strainwave: {each.where}: {message}", err=True)
+    if written.losses_of_version:
+        raise typer.Exit(3)
 
 
 @app.command(

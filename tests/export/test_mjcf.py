@@ -11,23 +11,18 @@ import numpy as np
 import pytest
 
 import exports
-from strainwave.domain import FloatArray, Imu, Motion, Parameter, Prbs, Spring, Study
+from mujoco_runs import RECORDED, TICK, drive, frictionless, in_mujoco, largest_difference
+from strainwave.domain import Imu, Motion, Parameter, Spring
 from strainwave.domain.arm.description import Matrix
 from strainwave.domain.arm.link_sensors import mounted_axes
 from strainwave.domain.arm.link_sensors.imu import IMU_ATTITUDE, IMU_POSITION
 from strainwave.domain.arm.link_sensors.link_space import Quantity
-from strainwave.domain.keys import Values
-from strainwave.dynamics import excitation
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.link_sensors import JointMotion, link_quantities
-from strainwave.dynamics.simulation import Drive, simulate
+from strainwave.dynamics.simulation import simulate
 from strainwave.errors import InvalidInput
-from strainwave.export.linear_models import coordinates_of
 from strainwave.export.mjcf import to_mjcf
 from strainwave.export.source import IdentifiedArm
-
-TICK = 1e-3
-RECORDED: list[Quantity] = ["motor_velocity", "link_velocity", "link_angle"]
 
 
 @pytest.fixture(scope="module")
@@ -36,60 +31,6 @@ def mujoco() -> ModuleType:
         "mujoco", reason="MuJoCo is not installed (extra: bench)"
     )
     return found
-
-
-def drive(study: Study, amplitude: float, seconds: float = 0.4) -> Drive:
-    """Pseudo-random voltages on all joints, from standstill."""
-    samples = round(seconds / TICK)
-    sequence = excitation.prbs(Prbs(10, TICK, 1, amplitude))
-    shifted = [np.roll(sequence, 341 * i)[:samples] for i in range(study.arm.n_joints)]
-    voltage = np.column_stack(shifted)
-    still = (0.0,) * study.arm.n_joints
-    off = (False,) * study.arm.n_joints
-    # MuJoCo starts with untwisted gears at zero link angles
-    return Drive(
-        TICK, voltage, 0.0 * voltage, off, still, still, link_angle=still, link_velocity=still
-    )
-
-
-def in_mujoco(
-    mujoco: ModuleType, study: Study, values: Values, applied: Drive
-) -> dict[Quantity, FloatArray]:
-    """Velocities and angles of the exported arm in MuJoCo under the same voltages."""
-    model = mujoco.MjModel.from_xml_string(to_mjcf(exports.arm_of(study, values)).data.decode())
-    data = mujoco.MjData(model)
-    numbers = range(1, study.arm.n_joints + 1)
-    links = [data.joint(f"joint{i}") for i in numbers]
-    coordinates = coordinates_of(study.arm)
-    motors = [data.joint(f"motor_joint{i}") for i in coordinates.elastic]
-    found: dict[Quantity, list[FloatArray]] = {name: [] for name in RECORDED}
-    for voltage in applied.voltage:
-        velocities = [each.qvel[0] for each in (*motors, *links)]
-        found["motor_velocity"].append(coordinates.motor_angles @ velocities)
-        found["link_velocity"].append(np.array([link.qvel[0] for link in links]))
-        found["link_angle"].append(np.array([link.qpos[0] for link in links]))
-        data.ctrl[:] = voltage
-        mujoco.mj_step(model, data, round(TICK / model.opt.timestep))
-    return {name: np.array(rows) for name, rows in found.items()}
-
-
-def largest_difference(mujoco: ModuleType, study: Study, values: Values, amplitude: float) -> float:
-    """Largest relative difference (root mean square) over all quantities and joints."""
-    applied = drive(study, amplitude)
-    ours = simulate(
-        Arm.of(study.arm),
-        values,
-        applied,
-        sample_time=TICK,
-        samples=len(applied.voltage),
-        record=RECORDED,
-    )
-    theirs = in_mujoco(mujoco, study, values, applied)
-    off = [
-        np.linalg.norm(theirs[name] - ours[name], axis=0) / np.linalg.norm(ours[name], axis=0)
-        for name in RECORDED
-    ]
-    return float(np.max(off))
 
 
 @pytest.mark.parametrize("gravity", [None, 9.81])
@@ -140,13 +81,6 @@ def test_sensors_equal_the_channels(
             off = np.linalg.norm(np.array(theirs[f"{name}{i}"]) - wanted)
             # the simulated gyro has a low-pass of 1 MHz: a lag of 0.2 us
             assert off < (1e-4 if name == "gyro" else 2e-7) * np.linalg.norm(wanted), f"{name}{i}"
-
-
-def frictionless(values: Values) -> Values:
-    return {
-        (name, joint): 0.0 if name == "motor_coulomb_friction" else value
-        for (name, joint), value in values.items()
-    }
 
 
 @pytest.mark.parametrize("gravity", [None, 9.81])
@@ -249,7 +183,7 @@ def test_effects_are_noted(tmp_path: Path) -> None:
     first = replace(study.arm.joints[0], effects=("hysteresis", "kinematic-error"))
     study = replace(study, arm=replace(study.arm, joints=(first, study.arm.joints[1])))
     export = to_mjcf(exports.arm_of(study, exports.values_of(study)))
-    assert export.notes[0].startswith("omitted: hysteresis (joint 1), kinematic-error (joint 1), ")
+    assert export.notes[0].startswith("lost: kinematic-error (joint 1), servo, ")
     for note in export.notes:
         assert f"<!-- {note[:1].upper()}{note[1:]}. -->" in export.data.decode()
     assert not any("motor_inertia" in note or "gear" in note for note in export.notes)
@@ -345,7 +279,7 @@ def test_an_imu_at_an_unknown_place_is_omitted(mujoco: ModuleType, tmp_path: Pat
     )
     model = mujoco.MjModel.from_xml_string(export.data.decode())
     assert not any(model.sensor(k).name.startswith("imu") for k in range(model.nsensor))
-    assert "omitted: the IMU of joint 3: its place is unknown" in export.notes
+    assert any("IMU at an unknown place (joint 3)" in note for note in export.notes)
 
 
 def test_motors_without_estimate_have_the_inertia_of_the_standard_parameters(

@@ -111,7 +111,7 @@ def test_the_file_contains_the_matrices(tmp_path: Path) -> None:
     document = json.loads(export.data)
     assert export.warnings == ()
     assert document["notes"] == list(export.notes)
-    assert export.notes[0].startswith("omitted: motor_coulomb_friction (joint 1, 2), ")
+    assert export.notes[0].startswith("lost: motor_coulomb_friction (joint 1, 2), ")
     assert document["states"] == ["torsion", "motor_velocity", "link_velocity"]
     for joint in (1, 2):
         found = [document["joints"][joint - 1][name] for name in "ABCD"]

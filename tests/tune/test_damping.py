@@ -14,11 +14,12 @@ from strainwave.domain import ControlLaw, FloatArray
 from strainwave.domain.arm.description import LinearServo
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, simulate
+from strainwave.export.randomisation import drawn_values
 from strainwave.tune import damping as module
 from strainwave.tune.closed_loop import close, sample
 from strainwave.tune.damping import MIN_RATIO
 from strainwave.tune.design import ServoDesign, ServoOptions, design_servo
-from strainwave.tune.plants import drawn_values, plants_of
+from strainwave.tune.plants import plants_of
 from strainwave.tune.verification import Simulated, shortest_plan
 
 OPTIONS = ServoOptions(postures=((0.0, 0.0), (0.4, 1.9)), draws=3, seed=3)

@@ -16,13 +16,14 @@ from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import simulate
 from strainwave.errors import InvalidInput, NotIdentifiable
 from strainwave.export import IdentifiedArm
+from strainwave.export.randomisation import drawn_values
 from strainwave.tune import cascade_tuning, verification
 from strainwave.tune import design as module
 from strainwave.tune.cascade_tuning import MAX_RIPPLE_SHARE, Loops
 from strainwave.tune.closed_loop import Gains, close, sample
 from strainwave.tune.design import ServoDesign, ServoOptions, design_servo
 from strainwave.tune.margins import Requirements, effective_plants
-from strainwave.tune.plants import Plants, drawn_values, plants_of, without_impossible
+from strainwave.tune.plants import Plants, plants_of, without_impossible
 
 POSTURES = ((0.0, 0.0), (0.4, 1.9))
 LOAD = Payload(2.0, (0.3, 0.0, 0.0))

@@ -17,13 +17,14 @@ from strainwave.domain.arm.link_sensors.link_space import Quantity
 from strainwave.dynamics.simulation import Drive, simulate_arms
 from strainwave.errors import InvalidInput
 from strainwave.export import IdentifiedArm
+from strainwave.export.randomisation import drawn_values
 from strainwave.io.joint_covariance import IdentifiedNoise
 from strainwave.tune import design as design_module
 from strainwave.tune.closed_loop import Clock, Gains
 from strainwave.tune.design import ServoOptions, design_servo
 from strainwave.tune.link_measurements import with_places
 from strainwave.tune.observer import Observer, design_observers
-from strainwave.tune.plants import Condition, drawn_values
+from strainwave.tune.plants import Condition
 from strainwave.tune.report.page import render
 from strainwave.tune.verification import (
     EstimationError,

@@ -10,6 +10,7 @@ from scipy.optimize import minimize_scalar
 
 from servo_arms import rig
 from strainwave.domain import ComplexArray, FloatArray
+from strainwave.export.randomisation import drawn_values
 from strainwave.tune.closed_loop import (
     Clock,
     Gains,
@@ -27,7 +28,7 @@ from strainwave.tune.margins import (
     join,
     margins_of,
 )
-from strainwave.tune.plants import Condition, Plants, drawn_values, plants_of
+from strainwave.tune.plants import Condition, Plants, plants_of
 
 OMEGA = np.geomspace(0.1, 1e3, 4000)
 # linear interpolation between 4000 frequencies of four decades: about the square of a step

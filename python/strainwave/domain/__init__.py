@@ -19,6 +19,7 @@ from strainwave.domain.arm.description import LinearServo as LinearServo
 from strainwave.domain.arm.description import LinkPrior as LinkPrior
 from strainwave.domain.arm.description import Motion as Motion
 from strainwave.domain.arm.description import Origin as Origin
+from strainwave.domain.arm.description import PositionServo as PositionServo
 from strainwave.domain.arm.description import Servo as Servo
 from strainwave.domain.arm.description import Spring as Spring
 from strainwave.domain.arm.description import Urdf as Urdf

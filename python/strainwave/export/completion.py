@@ -9,7 +9,7 @@ Without these, friction is zero, the gear is rigid and the links are those neare
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 
@@ -45,6 +45,8 @@ from strainwave.io.base_parameters import (
     torque_errors,
 )
 
+FORMATS_OF_RIGID_LINKS = ("urdf", "srdf", "usd", "sdf", "drake", "isaaclab", "mjlab", "pace")
+"""Formats with joints behind rigid gears, whose friction is that of the joint."""
 _MAX_GRAVITY_ERROR = 0.01  # relative; errors of torque constants are smaller
 
 
@@ -138,11 +140,19 @@ _N_SAMPLES = 100  # of a motion in place of a recorded one, in each direction
 _ACCELERATION = 10.0  # [rad/s^2] of its joints; their velocity is 1 rad/s
 
 
-def completed(arm: IdentifiedArm, form: str = "json") -> IdentifiedArm:
+def completed(
+    arm: IdentifiedArm,
+    form: str = "json",
+    held: Collection[str] = (),
+    *,
+    has_powers: bool | None = None,
+) -> IdentifiedArm:
     """The arm without missing values; `assumptions` lists the values that are not identified.
 
-    `form` is the format: MuJoCo has polynomial damping.
+    `form` is the format, and `held` are effects that it represents. MuJoCo has damping with powers
+    of the velocity, unless an old version does not: `has_powers`.
     """
+    has_powers = form == "mjcf" if has_powers is None else has_powers
     before, identified = arm.values, arm.identified
     description, notes = arm.study.arm, list[str]()
     fallback: Values = {}
@@ -172,7 +182,17 @@ def completed(arm: IdentifiedArm, form: str = "json") -> IdentifiedArm:
             notes.append(note)
             values |= arm.standard
         if rigid.motion.size:
-            arm = _with_projected_friction(original, arm, rigid, notes, form)
+            arm = _with_projected_friction(original, arm, rigid, notes, held, has_powers)
+            if form not in FORMATS_OF_RIGID_LINKS:  # they have other friction
+                bodies = body_torques(arm, rigid.motion, effective_gravity(arm))
+                notes.append(loss_note(arm, bodies + motor_friction(arm, rigid.motion)))
+    servo = description.position_servo
+    for number in range(1, description.n_joints + 1):
+        if servo and servo.gain(number) is None and ("servo_kp", number) not in values:
+            notes.append(
+                f"torques, inertias, masses and friction are per N m/rad of servo {number}'s gain, "
+                "which is not determined: the motion is that of the arm, forces are not"
+            )
     law_keys = [(name, i + 1) for i, j in enumerate(description.joints) for name in j.law.names]
     listed = [
         f"{label_of(*key)} = {values[key]:.4g} {unit_in(description, key)}"
@@ -213,7 +233,12 @@ def _needed(arm: IdentifiedArm) -> Iterator[Key]:
 
 
 def _with_projected_friction(
-    original: IdentifiedArm, arm: IdentifiedArm, model: RigidModel, notes: list[str], form: str
+    original: IdentifiedArm,
+    arm: IdentifiedArm,
+    model: RigidModel,
+    notes: list[str],
+    held: Collection[str],
+    has_powers: bool,
 ) -> IdentifiedArm:
     """The arm with friction of the motors whose law no format has, or that is not identified.
 
@@ -229,24 +254,24 @@ def _with_projected_friction(
         known = {p.name for p in arm.parameters if p.joint == i + 1 and p.value}
         effects = {term.effect for term in model.friction_terms if term.joint == i + 1}
         effects |= {effect.name for effect in all_effects() if known.intersection(effect.names)}
+        effects = effects.difference(held)
         v, wanted = motion[1, :, i], torques[:, i] - of_bodies[:, i]
         is_held = not effects and original.values.keys() >= set(keys[: len(FRICTION)])
         error = np.std((wanted - identified[:, i])[v != 0.0])
         if is_held and (joint.elastic or error < _MAX_ERROR * size[i]):
             torques[:, i] = of_bodies[:, i] + identified[:, i]
             continue
-        projection = project_friction(wanted, v, is_polynomial=form == "mjcf" and bool(effects))
+        projection = project_friction(wanted, v, is_polynomial=has_powers and bool(effects))
         if effects:
-            powers = ", and damping with powers, read by MuJoCo 4" if projection[3:].any() else ""
+            powers = (
+                ", and damping with powers, read since MuJoCo 3.7" if projection[3:].any() else ""
+            )
             notes.append(
                 f"projected: {', '.join(sorted(effects))} (joint {i + 1}): friction has viscous, "
                 f"Coulomb and constant torque{powers}, nearest over the recorded motion"
             )
         values.update(zip(keys, projection.tolist(), strict=True))
-    arm = replace(arm, torques=torques)
-    if form not in ("urdf", "srdf"):  # they have other friction
-        notes.append(loss_note(arm, of_bodies + motor_friction(arm, motion)))
-    return arm
+    return replace(arm, torques=torques)
 
 
 def loss_note(arm: IdentifiedArm, predicted: FloatArray) -> str:

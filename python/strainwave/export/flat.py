@@ -108,7 +108,8 @@ def _components(names: Sequence[str], values: Sequence[float], unit: str) -> Ite
 
 
 def _notes_of_values(arm: IdentifiedArm) -> tuple[str, ...]:
-    return (*arm.assumptions, source.CORRELATIONS, *([_BODIES] if arm.standard else []))
+    bodies = [_BODIES] if arm.standard else []
+    return (*arm.assumptions, *source.loss_note([source.CORRELATIONS]), *bodies)
 
 
 def to_json(arm: IdentifiedArm) -> Export:
@@ -179,9 +180,9 @@ def _joints(count: int, models: Mapping[int, Matrices]) -> FloatArray:
 
 
 def _notes_of_models(arm: IdentifiedArm) -> tuple[str, ...]:
-    omitted = source.omission_note(arm, (*source.LINEAR, "servo", source.ERRORS))
-    matrices = (f"{note}: not in the matrices, but in the struct parameters" for note in omitted)
-    return (*arm.assumptions, *matrices, source.CORRELATIONS)
+    lost = source.loss_note(source.losses(arm, (*source.LINEAR, "servo", source.ERRORS)))
+    matrices = (f"{note}: not in the matrices, but in the struct parameters" for note in lost)
+    return (*arm.assumptions, *matrices, *source.loss_note([source.CORRELATIONS]))
 
 
 def to_script(arm: IdentifiedArm) -> Export:

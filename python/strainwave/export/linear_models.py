@@ -32,7 +32,7 @@ from strainwave.dynamics import two_inertia
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.two_inertia import NAMES, TwoInertia, joint_of
 from strainwave.errors import InvalidInput
-from strainwave.export.source import LINEAR, Export, IdentifiedArm, omission_note
+from strainwave.export.source import LINEAR, Export, IdentifiedArm, loss_note, losses
 from strainwave.identification.closed_loop import restrict_to_values
 from strainwave.identification.joint_model.agreement import motor_response
 from strainwave.io.joint_covariance import JointCovariance
@@ -282,7 +282,8 @@ def linearised(arm: IdentifiedArm) -> tuple[Diagnostic, ...]:
 def to_state_space(arm: IdentifiedArm) -> Export:
     """The matrices of all joints and of the whole arm as JSON; errors as for `models_of`."""
     joints, whole_arm = models_of(arm)
-    notes = (*arm.assumptions, *omission_note(arm, LINEAR))
+    missing = losses(arm, LINEAR)
+    notes = (*arm.assumptions, *loss_note(missing))
     document = {
         "schema": _SCHEMA,
         **SIGNALS,
@@ -291,4 +292,4 @@ def to_state_space(arm: IdentifiedArm) -> Export:
         "notes": notes,
     }
     text = json.dumps(document, indent=2, default=np.ndarray.tolist)
-    return Export((text + "\n").encode(), linearised(arm), notes)
+    return Export((text + "\n").encode(), linearised(arm), notes, missing)

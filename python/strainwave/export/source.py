@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -23,14 +23,17 @@ from strainwave.domain import (
 from strainwave.domain.arm.base_parameters import MOTOR_INERTIA, base_parameters
 from strainwave.domain.arm.combinations import is_rigid_drive, lumped_inertias, rigid_columns
 from strainwave.domain.arm.description import Urdf
+from strainwave.domain.arm.gear_laws import gear_parameters
 from strainwave.domain.arm.kinds import kind_of
 from strainwave.domain.arm.link_sensors import key_texts, sensor_constants
 from strainwave.domain.arm.parameter_table import base_name, family_of
 from strainwave.domain.arm.parameters import complete_values
 from strainwave.domain.keys import JointNumber, Values
 from strainwave.errors import InvalidInput
+from strainwave.export.read_back import Check, ReadBack
 from strainwave.io import results
 from strainwave.io.atomic_files import read_bytes
+from strainwave.io.joint_covariance import JointCovariance
 from strainwave.io.study import read_study
 from strainwave.io.urdf import read_urdf
 
@@ -41,7 +44,15 @@ class Export:
 
     data: bytes
     warnings: tuple[Diagnostic, ...] = ()  # assumptions behind the numbers
-    notes: tuple[str, ...] = ()  # parts that the format cannot represent
+    notes: tuple[str, ...] = ()  # assumed and projected values
+    losses: tuple[Diagnostic, ...] = ()  # parts that the format cannot represent
+    check: Check | None = None  # reads the written file
+    read_back: ReadBack | None = None  # what it finds; None without the reader
+
+    @property
+    def losses_of_version(self) -> tuple[Diagnostic, ...]:
+        """Parts for which a later version of the format has an element."""
+        return tuple(x for x in self.losses if x.clause.template == "left-out/version")
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,6 +71,9 @@ class IdentifiedArm:
     completion: Values | None = None  # in place of `values`; see `strainwave.export.completion`
     assumptions: tuple[str, ...] = ()  # behind it
     torques: FloatArray | None = None  # of the motors over `rigid.motion`, which exports follow
+    covariance: JointCovariance | None = None  # of the estimates; None: they are independent
+    # arms drawn from it, for formats with ranges; see `strainwave.export.randomisation`
+    draws: tuple[IdentifiedArm, ...] = ()
 
     @property
     def values(self) -> Values:
@@ -205,7 +219,8 @@ def arm_of(
     standard = results.standard_parameters_of(document, study.arm, str(path))
     rigid = results.rigid_model_of(document, len(rigid_columns(study.arm)))
     estimates = results.stage_estimates_of(document)
-    return IdentifiedArm(study, accepted, str(path), warnings, rejected, standard, rigid, estimates)
+    arm = IdentifiedArm(study, accepted, str(path), warnings, rejected, standard, rigid, estimates)
+    return replace(arm, covariance=results.covariance_of(document, str(path)))
 
 
 def study_file_of(
@@ -322,12 +337,12 @@ LINEAR = (
 )
 """Parts of a linear model of the whole arm."""
 
-CORRELATIONS = "omitted: correlations between parameters: see covariance in result.json"
-"""Note of formats that contain standard deviations."""
+CORRELATIONS = Diagnostic("left-out", Place(), "part", part="correlations between parameters")
+"""Loss of formats that contain standard deviations."""
 
 
-def omission_note(arm: IdentifiedArm, held: Collection[str]) -> tuple[str, ...]:
-    """A note on the parts of an arm that are not `held`, with their joints.
+def losses(arm: IdentifiedArm, held: Collection[str]) -> tuple[Diagnostic, ...]:
+    """The parts of an arm that are not `held`, with their joints.
 
     Parts are parameters, effects and keys of the study by name, and all of `GEAR`, `SENSORS`. Every
     format has the links, and sums of parameters.
@@ -337,8 +352,7 @@ def omission_note(arm: IdentifiedArm, held: Collection[str]) -> tuple[str, ...]:
         name = base_name(p.name)
         is_sum = name == "total_viscous_friction" or family_of(name) in ("inertia", "gravity")
         if p.value is not None and (not is_sum or name == "motor_inertia"):
-            is_gear = name == "gear_damping" or family_of(name) == "stiffness"
-            is_gear |= p.joint is not None and name in arm.joint(p.joint).law.names
+            is_gear = name == "gear_damping" or name in gear_parameters()
             part = GEAR if is_gear else SENSORS if name in sensor_constants() else name
             parts.setdefault(part, set()).update(() if p.joint is None else (p.joint,))
     for number, joint in enumerate(arm.study.arm.joints, start=1):
@@ -350,16 +364,23 @@ def omission_note(arm: IdentifiedArm, held: Collection[str]) -> tuple[str, ...]:
     present = {
         "gravity": description.gravity,
         "transmission": description.is_coupled,
-        "servo": description.servo,
+        "servo": description.servo or description.position_servo,
         ERRORS: True,
     }
     parts |= {part: set() for part, value in present.items() if value}
-    listed = [
-        part + (f" (joint {', '.join(map(str, sorted(joints)))})" if joints else "")
-        for part, joints in parts.items()
-        if part not in held
-    ]
-    return (f"omitted: {', '.join(listed)}",) if listed else ()
+    return tuple(loss(part, sorted(joints)) for part, joints in parts.items() if part not in held)
+
+
+def loss(part: str, joints: Sequence[int] = (), variant: str = "", /, **values: Any) -> Diagnostic:
+    """A part of some joints that a format cannot represent; `values` are those of the variant."""
+    places = tuple(Place(joint=number) for number in joints) or Place()
+    return Diagnostic("left-out", places, variant or "part", part=part, **values)
+
+
+def loss_note(losses: Iterable[Diagnostic]) -> tuple[str, ...]:
+    """One note on all losses, for a comment in the file; none without losses."""
+    listed = [each.observation + (f" ({each.where})" if each.where else "") for each in losses]
+    return (f"lost: {', '.join(listed)}",) if listed else ()
 
 
 def sentence_of(note: str) -> str:

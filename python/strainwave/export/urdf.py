@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
@@ -13,6 +14,7 @@ from strainwave.domain.arm.kinds.base import Body
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import NumericalFailure
 from strainwave.export import completion, source
+from strainwave.export.read_back import UrdfValues, by_pinocchio
 from strainwave.export.source import Export, IdentifiedArm, numbers
 from strainwave.io.base_parameters import links_of_torques, motor_regressor, torque_errors
 from strainwave.io.templates import fill_text
@@ -22,7 +24,7 @@ _HELD = (
     *("motor_inertia", "motor_viscous_friction", "link_viscous_friction"),
     *("motor_coulomb_friction", "friction_offset"),
 )
-_NO_LIMIT = 1e6  # of a joint without limits, where URDF requires numbers
+NO_LIMIT = 1e6  # of a joint without limits, where URDF requires numbers
 
 
 def _kind(joint: Joint) -> str:
@@ -37,10 +39,10 @@ def _limits(joint: Joint) -> dict[str, float]:
     known, given = joint.limits or JointLimits(), _kind(joint)
     if given == "continuous" and not (known.velocity or known.effort):
         return {}
-    limits = {"effort": known.effort or _NO_LIMIT, "velocity": known.velocity or _NO_LIMIT}
+    limits = {"effort": known.effort or NO_LIMIT, "velocity": known.velocity or NO_LIMIT}
     if given != "continuous":
-        limits["lower"] = -_NO_LIMIT if known.lower is None else known.lower
-        limits["upper"] = _NO_LIMIT if known.upper is None else known.upper
+        limits["lower"] = -NO_LIMIT if known.lower is None else known.lower
+        limits["upper"] = NO_LIMIT if known.upper is None else known.upper
     return limits
 
 
@@ -55,8 +57,9 @@ def to_urdf(arm: IdentifiedArm, *, has_rotors: bool = False) -> Export:
     If a URDF places the joints of the study, it is that file with other inertial values and
     friction. The links include the rotors, unless the file `has_rotors`.
     """
-    links, rotors, friction, notes_of_links = _projected(arm, has_rotors)
-    notes = (*arm.assumptions, *notes_of_links, *source.omission_note(arm, _HELD))
+    links, rotors, friction, notes_of_links = projected_links(arm, has_rotors)
+    losses = source.losses(arm, _HELD)
+    notes = (*arm.assumptions, *notes_of_links, *source.loss_note(losses))
     urdf, names = arm.study.arm.urdf, arm.study.arm.joint_names
     if urdf is not None:
         comments = ["Inertial values and friction identified by strainwave."]
@@ -78,17 +81,27 @@ def to_urdf(arm: IdentifiedArm, *, has_rotors: bool = False) -> Export:
             sentence_of=source.sentence_of,
         ).encode()
     if has_rotors:
-        joints = "".join(
+        rotor_texts = "".join(
             f'    <joint name={quoteattr(name)} mass="{numbers(rotor)}" gear_ratio="1.0" />\n'
             for name, rotor in zip(names, rotors, strict=True)
         )
         start, end, rest = data.rpartition(b"</robot>")
-        element = f"  <rotor_params>\n{joints}  </rotor_params>\n".encode()
+        element = f"  <rotor_params>\n{rotor_texts}  </rotor_params>\n".encode()
         data = start + element + end + rest
-    return Export(data, arm.assumed() + completion.gravity_warnings(arm), notes)
+    joints = arm.study.arm.joints
+    values = UrdfValues(
+        names,
+        tuple(links),
+        tuple(friction),
+        limits=tuple(map(_limits, joints)),
+        origins=None if urdf and urdf.held else tuple(joint.origin for joint in joints),
+        rotors=tuple(rotors) if has_rotors else None,
+    )
+    check = partial(by_pinocchio, values=values)
+    return Export(data, arm.assumed() + completion.gravity_warnings(arm), notes, losses, check)
 
 
-def _projected(
+def projected_links(
     arm: IdentifiedArm, has_rotors: bool
 ) -> tuple[list[LinkPrior], list[float], list[tuple[float, float]], list[str]]:
     """The model whose torques at the motors over the recorded motion are nearest to the arm's.

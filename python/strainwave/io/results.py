@@ -471,7 +471,8 @@ def _rigid(model: RigidModel) -> RigidEntry:
         torque_ratio=next((ratio for ratio in ratios if ratio.joint == 2), None),
         torque_ratios=ratios,
         torque_errors=tuple(JointValue(joint=i, value=x) for i, x in model.torque_errors.items()),
-        prediction=PredictionEntry.of(model),
+        # servos without a torque log have parameters, and predict no torques
+        prediction=PredictionEntry.of(model) if model.motion.size else None,
     )
 
 

@@ -84,7 +84,7 @@ def with_sensed_torques(study: Study, logs: Sequence[Log]) -> tuple[Study, tuple
                 remedy=f"remove torque{lacking[0]} from [channels] to use the sensor of all logs, "
                 "or remove this log",
             )
-    if not sensed or not logs:
+    if not sensed or not logs or study.arm.position_servo is not None:
         return study, tuple(logs)
     if arm.is_coupled and len(sensed) < arm.n_joints:
         raise InvalidInput(
@@ -166,7 +166,9 @@ def check_inputs(
             remedy="correct the sensor or its cable, and record again",
         )
     warnings = (*(warning for log in raw_logs for warning in log.warnings), *warnings)
-    agreement = input_check.check_consistency(usable, study)
+    agreement = Consistency()  # no relation of a position servo holds for all parameter values
+    if study.arm.position_servo is None:
+        agreement = input_check.check_consistency(usable, study)
     agreement = agreement.suspecting(accept=study.options.accept)
     agreement = replace(agreement, warnings=(*warnings, *agreement.warnings))
     return Inputs(study, arm, usable, stages), agreement

@@ -14,6 +14,7 @@ from strainwave.domain import FloatArray, IntArray, Payload
 from strainwave.domain.keys import JointNumber, label_of
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure
+from strainwave.export.randomisation import drawn_values
 from strainwave.export.source import IdentifiedArm
 from strainwave.io.joint_covariance import IdentifiedNoise, JointCovariance
 from strainwave.numerics.parallel import one_blas_thread
@@ -30,7 +31,7 @@ from strainwave.tune.closed_loop import (
 from strainwave.tune.damping import Damping, design_damping
 from strainwave.tune.margins import LoopBand, Margins, Requirements, join
 from strainwave.tune.observer import Observer, design_observers
-from strainwave.tune.plants import Condition, Plants, drawn_values, plants_of, without_impossible
+from strainwave.tune.plants import Condition, Plants, plants_of, without_impossible
 from strainwave.tune.shapers import COVERAGE, RankedShaper, rank_shapers
 from strainwave.tune.verification import (
     EstimationError,

@@ -23,13 +23,9 @@ from strainwave.dynamics.arm import Arm
 from strainwave.errors import NotIdentifiable
 from strainwave.export.linear_models import coordinates_of
 from strainwave.export.source import IdentifiedArm
-from strainwave.io.joint_covariance import JointCovariance
 
-_MAX_STDS = 4.0  # of a drawn parameter from its estimate
-_MIN_SHARE = 0.01  # of the estimate, the smallest value drawn for a positive parameter
 _GRAVITY_STEP = 1e-3  # [rad] of central differences; gravity is smooth
 _RIGID_SHARE = 1e-3  # of the highest frequency, below which a mode has no torsion
-_SIGNED = ("friction_offset",)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -240,36 +236,3 @@ class LinksAt:
     def gravity(self, base: FloatArray) -> FloatArray:
         """dg/dq, (n_joints, n_joints)."""
         return np.asarray(self.gravity_per_base @ base + self.payload_gravity)
-
-
-def drawn_values(
-    arm: IdentifiedArm, covariance: JointCovariance | None, n_draws: int, rng: np.random.Generator
-) -> list[Values]:
-    """The estimates, then draws from their joint covariance.
-
-    Parameters outside the covariance are drawn from their own intervals, independently. Draws are
-    limited to `_MAX_STDS` standard deviations, and positive parameters stay positive.
-    """
-    estimates = arm.values
-    std = {p.label: p.std for p in arm.parameters if p.value is not None and p.std is not None}
-    keys = {p.label: p.key for p in arm.parameters if p.value is not None}
-    names, root = list[str](), np.zeros((0, 0))
-    if covariance is not None:
-        names = [name for name in covariance.names if name in keys]
-        at = [covariance.names.index(name) for name in names]
-        squares, vectors = np.linalg.eigh(covariance.matrix[np.ix_(at, at)])
-        root = vectors * np.sqrt(np.clip(squares, 0.0, None))
-    others = [name for name in std if name not in names]
-    least = {
-        key: _MIN_SHARE * value if value > 0.0 and key[0] not in _SIGNED else -np.inf
-        for key, value in estimates.items()
-    }
-    draws = [estimates]
-    for _ in range(n_draws):
-        unit = np.clip(rng.standard_normal(len(names)), -_MAX_STDS, _MAX_STDS)
-        own = np.clip(rng.standard_normal(len(others)), -_MAX_STDS, _MAX_STDS)
-        sizes = [*(root @ unit).tolist(), *(own * [std[name] for name in others]).tolist()]
-        changes = {keys[name]: x for name, x in zip((*names, *others), sizes, strict=True)}
-        changed = {key: value + changes.get(key, 0.0) for key, value in estimates.items()}
-        draws.append({key: max(value, least[key]) for key, value in changed.items()})
-    return draws

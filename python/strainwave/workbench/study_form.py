@@ -22,7 +22,8 @@ _CHOICES = {
     ("arm", "kind"): tuple(kinds.KINDS),
     ("joint", "spring"): (gear_laws.AUTO, *gear_laws.LAWS),
     ("joint", "motion"): get_args(Motion),
-    ("servo", "kind"): ("pi-velocity",),
+    ("servo", "kind"): ("pi-velocity", "position"),
+    ("servo", "output"): ("torque", "current", "duty"),
 }
 
 
@@ -60,6 +61,8 @@ def form_groups(document: Mapping[str, Any]) -> dict[str, list[Row]]:
         if key.serial in (None, is_serial) and (is_planar or key.key != "link_length")
     )
     keys["joint"] = tuple(key for key in keys["joint"] if not key.serial or is_placed)
+    if table_of(document, "servo").get("kind") == "position":
+        keys["servo"] = keys["position_servo"]
     if any(joint.get("motion") == "prismatic" for joint in joints):
         ratio = {"gear_ratio": "link rad (or m) per motor rad"}
         keys["joint"] = tuple(replace(k, unit=ratio.get(k.key, k.unit)) for k in keys["joint"])

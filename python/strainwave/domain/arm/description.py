@@ -28,7 +28,9 @@ Spring = str  # name of a gear law, or "auto"
 EffectName = str  # of one of `domain.effects`
 Vector = tuple[float, float, float]
 Matrix = tuple[tuple[float, ...], ...]  # rows
-UNKNOWN: Literal["unknown"] = "unknown"
+Unknown = Literal["unknown"]
+UNKNOWN: Unknown = "unknown"
+Output = Literal["torque", "current", "duty"]  # of a position servo
 LinkPrior = tuple[float, ...]  # the ten standard parameters of a link, in the order of the core
 
 _PLANAR_PROGRAMS = ("planar-two-link", "single-joint")  # kinds with a compiled program
@@ -169,6 +171,69 @@ class Servo:
 
 
 @dataclass(frozen=True, slots=True)
+class PositionServo:
+    """PD servos with feed-forward, one per joint, on the angles of the joints.
+
+        v = sat(kp (ref(t - T) - q) - kd dq + feed-forward)
+
+    It is sampled at `period` and held. The output v is a torque [N m] at the joint; a current [A]
+    with the torque `torque_constant` v; or a duty of 1 at most, with the torque
+    `stall_torque` (v - dq / no_load_speed). Gains and limits have the unit of the output.
+    """
+
+    kind: Literal["position"]
+    period: Positive  # [s]
+    kp: tuple[Positive | Unknown, ...]  # [N m/rad, A/rad, 1/rad]
+    kd: tuple[NonNegative | Unknown, ...]  # [N m s/rad, A s/rad, s/rad]
+    delay: NonNegative | Unknown | tuple[NonNegative | Unknown, ...] = UNKNOWN  # [s]
+    limit: tuple[Positive | Unknown, ...] | None = None  # [N m, A, 1]; None: unknown
+    output: Output = "torque"
+    torque_constant: tuple[Positive, ...] | None = None  # [N m/A] at the joint
+    stall_torque: tuple[Positive | Unknown, ...] | None = None  # [N m] at the joint
+    no_load_speed: tuple[Positive | Unknown, ...] | None = None  # [rad/s] of the joint
+
+    def gain(self, joint: JointNumber) -> float | None:
+        """Proportional gain [N m/rad] of a joint; None if it is unknown."""
+        return self._torque(self.kp[joint - 1], joint)
+
+    def damping_gain(self, joint: JointNumber) -> float | None:
+        """Derivative gain [N m s/rad] of a joint; None if it is unknown."""
+        return self._torque(self.kd[joint - 1], joint)
+
+    def torque_limit(self, joint: JointNumber) -> float | None:
+        """Largest torque [N m] of the output of a joint; None if it is unknown."""
+        limit = UNKNOWN if self.limit is None else self.limit[joint - 1]
+        if self.output == "duty" and limit == UNKNOWN:
+            limit = 1.0
+        return self._torque(limit, joint)
+
+    def delay_of(self, joint: JointNumber) -> float | None:
+        """Delay [s] of the reference of a joint; None if it is unknown."""
+        delay = self.delay[joint - 1] if isinstance(self.delay, tuple) else self.delay
+        return None if delay == UNKNOWN else float(delay)
+
+    def back_emf_damping(self, joint: JointNumber) -> float | None:
+        """Damping [N m s/rad] of a joint by the back-EMF; None if it is unknown."""
+        if self.output != "duty":
+            return 0.0
+        speed = self.no_load_speed[joint - 1] if self.no_load_speed else UNKNOWN
+        torque = self.torque_per_output(joint)
+        return None if torque is None or isinstance(speed, str) else torque / speed
+
+    def torque_per_output(self, joint: JointNumber) -> float | None:
+        """Torque at standstill per unit of the output; None if it is unknown."""
+        if self.output == "torque":
+            return 1.0
+        known = self.torque_constant if self.output == "current" else self.stall_torque
+        value = UNKNOWN if known is None else known[joint - 1]
+        return None if isinstance(value, str) else value
+
+    def _torque(self, output: float | Unknown, joint: JointNumber) -> float | None:
+        scale = self.torque_per_output(joint)
+        return None if scale is None or isinstance(output, str) else scale * output
+
+
+@dataclass(frozen=True, slots=True)
 class Urdf:
     """The URDF file that places the joints, and the inertial values in it."""
 
@@ -191,6 +256,7 @@ class ArmDescription:
     coupling: Matrix | None = None  # C, (n_joints, n_joints): `[transmission]`; None: identity
     servo: Servo | None = None
     urdf: Urdf | None = None
+    position_servo: PositionServo | None = None  # in place of `servo`: logs without torque
 
     @property
     def n_joints(self) -> int:

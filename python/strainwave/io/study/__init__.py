@@ -229,8 +229,9 @@ def document_of(study: Study) -> dict[str, Any]:
     }
     if study.arm.coupling is not None:
         document["transmission"] = {"coupling": [list(row) for row in study.arm.coupling]}
-    if study.arm.servo is not None:
-        document["servo"] = _table(study.arm.servo)
+    servo = study.arm.servo or study.arm.position_servo
+    if servo is not None:
+        document["servo"] = _table(servo)
     if study.channels or study.sample_rate is not None:
         document["channels"] = {
             name: _table(each, without=("second_column",))

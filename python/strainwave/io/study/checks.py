@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
@@ -83,11 +83,52 @@ def _check_joints(arm: ArmDescription, reader: Reader) -> None:
         _check_effects(index, joint, reader.place("joint", index, "effects"))
     if arm.coupling is not None:
         _check_coupling(arm.coupling, arm, reader.place("transmission", None, "coupling"))
-    if arm.servo is not None:
-        for key in ("kp", "ki", "position_gain"):
-            gains = getattr(arm.servo, key)
-            if gains is not None:
-                _check_count(gains, arm.n_joints, reader.place("servo", None, key), key)
+    servo = arm.servo or arm.position_servo
+    if servo is not None:
+        for field in fields(servo):
+            values = getattr(servo, field.name)
+            if isinstance(values, tuple):
+                place = reader.place("servo", None, field.name)
+                _check_count(values, arm.n_joints, place, field.name)
+    if arm.position_servo is not None:
+        _check_position_servo(arm, reader)
+
+
+def _check_position_servo(arm: ArmDescription, reader: Reader) -> None:
+    """Raise InvalidInput for outputs without their constants, and for drives in the joints."""
+    servo = arm.position_servo
+    assert servo is not None
+    constants = {"current": ("torque_constant",), "duty": ("stall_torque", "no_load_speed")}
+    for output, keys in constants.items():
+        for key in keys:
+            is_given = getattr(servo, key) is not None
+            if is_given and servo.output != output:
+                raise InvalidInput(
+                    f"'{key}' is given, but the output of the servo is a {servo.output}",
+                    where=reader.place("servo", None, key),
+                    remedy=f'remove it, or set output = "{output}"',
+                )
+            if not is_given and key == "torque_constant" and servo.output == output:
+                raise InvalidInput(
+                    "the output of the servo is a current, but 'torque_constant' is missing",
+                    where=reader.place("servo", None, "output"),
+                    remedy="set the joint's torque per ampere; or give the gains as torques, with "
+                    'output = "torque"',
+                )
+    for index, joint in enumerate(arm.joints):
+        for key in ("torque_per_volt", "current_loop_hz"):
+            if getattr(joint, key) is not None:
+                raise InvalidInput(
+                    f"'{key}' is given, but the logs of a position servo have no voltage",
+                    where=reader.place("joint", index, key),
+                    remedy="remove it; the keys of [servo] describe the drive",
+                )
+    if arm.is_coupled:
+        raise InvalidInput(
+            "position servos of coupled joints have no model",
+            where=reader.place("transmission"),
+            remedy="remove [transmission], or log the torques of the motors",
+        )
 
 
 def _check_effects(index: int, joint: Joint, place: str) -> None:
@@ -343,6 +384,8 @@ def _check_detrended(name: str, arm: ArmDescription, place: str) -> None:
 def _check_payloads(study: Study, reader: Reader) -> None:
     """Raise InvalidInput unless unknown drives and known payloads belong together."""
     unknown = study.arm.unknown_drives
+    if study.arm.position_servo is not None:
+        return
     for index, experiment in enumerate(study.experiments):
         if experiment.payload is not None and not unknown:
             raise InvalidInput(
@@ -388,6 +431,8 @@ def check_sizes(study: Study, reader: Reader) -> None:
         _check_record_sizes(reader, joint, "joint", index)
     if study.arm.servo is not None:
         _check_record_sizes(reader, study.arm.servo, "servo")
+    if study.arm.position_servo is not None:
+        _check_record_sizes(reader, study.arm.position_servo, "servo", keys="position_servo")
     for index, experiment in enumerate(study.experiments):
         _check_record_sizes(reader, experiment, "experiment", index)
         for step in experiment.steps:
@@ -403,7 +448,8 @@ def _check_record_sizes(
         if key.range is None or value is None or isinstance(value, str):
             continue
         minimum, maximum = key.range
-        value = math.hypot(*value) if isinstance(value, tuple) else value
+        if isinstance(value, tuple):
+            value = math.hypot(*(each for each in value if not isinstance(each, str)))
         if minimum <= abs(value) <= maximum:
             continue
         remedy = f"set a value from {minimum:g} to {maximum:g}"

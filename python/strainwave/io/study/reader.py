@@ -24,6 +24,7 @@ from strainwave.domain import (
     Joint,
     Options,
     Origin,
+    PositionServo,
     Servo,
     Study,
     Urdf,
@@ -214,16 +215,26 @@ class Reader:
                 where=self.place(fault.table, fault.index, fault.key),
                 remedy=fault.remedy,
             )
-        servo = self._one(document, "servo")
-        description = kind.construct(
-            table, described, None if servo is None else self.record(Servo, servo, "servo")
+        servo = self._servo(self._one(document, "servo"))
+        velocity, position = (
+            servo if isinstance(servo, record) else None for record in (Servo, PositionServo)
         )
+        description = kind.construct(table, described, velocity)
         coupling = self._coupling(kind, self._one(document, "transmission"))
         return dataclasses.replace(
             description,
             coupling=coupling or description.coupling,
             urdf=Urdf(file, tuple(joint.prior for joint in urdf), held) if file else None,
+            position_servo=position,
         )
+
+    def _servo(self, table: Mapping[str, Any] | None) -> Servo | PositionServo | None:
+        if table is None:
+            return None
+        name = table.get("kind")
+        if name is not None:
+            self._check_registered([name], ["pi-velocity", "position"], name, "servo", None, "kind")
+        return self.record(PositionServo if name == "position" else Servo, table, "servo")
 
     def _check_names(self, joints: Sequence[Joint]) -> None:
         for index, joint in enumerate(joints):

@@ -228,6 +228,13 @@ def _script_hashes() -> tuple[str, ...]:
 EXPORT_FILES = {
     "mjcf": "arm.xml",
     "urdf": "arm.urdf",
+    "usd": "arm.usda",
+    "sdf": "arm.sdf",
+    "drake": "arm-drake.sdf",
+    "simscape": "arm_simscape.m",
+    "isaaclab": "isaaclab_actuators.py",
+    "mjlab": "mjlab_actuators.py",
+    "pace": "pace_actuators.py",
     "state-space": "arm-state-space.json",
     "matlab": "arm.m",
     "c": "arm.h",

@@ -76,6 +76,10 @@ class Cubic(GearLaw):
         """Delta and delta^3."""
         return np.column_stack([torsion, torsion**3])
 
+    def polynomial(self, need: Callable[[str], float]) -> tuple[float, ...] | None:
+        """k_G, 0 and k_3."""
+        return need(STIFFNESS), 0.0, need(CUBIC)
+
     def starts(self, stiffness: float, largest_torque: float) -> Values:
         """Slightly lower stiffness at zero torsion, higher stiffness at the largest torque."""
         initial = _STARTING_STIFFNESS_SHARE * stiffness

@@ -184,6 +184,10 @@ class GearLaw(ABC):
         """
         return None if self.is_curved else ((need(self.linearised_by), 0.0),)
 
+    def polynomial(self, need: Callable[[str], float]) -> tuple[float, ...] | None:
+        """Torque per torsion, its square and its cube, if the law is this sum and curved."""
+        return None
+
     def sentence(
         self, values: Mapping[str, float], std: Sequence[float], *, is_straight: bool
     ) -> str:

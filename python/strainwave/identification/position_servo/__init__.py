@@ -1,0 +1,96 @@
+"""Position servos without torque: arm, friction and servo from commanded and measured angles.
+
+The closed loops of all joints are simulated from the commands and fitted to the measured angles. A
+linear regression gives the start. The log does not tell what a command does between its samples;
+the residuals decide.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from strainwave.domain import FloatArray, Log
+from strainwave.dynamics.arm import Arm
+from strainwave.errors import NotIdentifiable, NumericalFailure
+from strainwave.identification.position_servo.candidates import (
+    choose_gear_effects,
+    choose_hold,
+    choose_limits,
+    fit_from,
+)
+from strainwave.identification.position_servo.fit import ServoFit
+from strainwave.identification.position_servo.loop import ServoLoop
+from strainwave.identification.position_servo.records import (
+    ReferenceHold,
+    Segment,
+    ServoRecord,
+    segments_of,
+    servo_record,
+)
+from strainwave.identification.position_servo.start import linear_starts
+
+_MAX_STARTS = 3  # delays from which the fit is tried
+_COARSE = 3  # one in so many segments takes part in the search of starts
+_MIN_COUNTS = 8  # of the encoder, that a motion must cover
+_DEFAULT_COUNTS = 4096.0  # per turn, of an encoder whose resolution is not given
+
+
+def fit_position_servos(logs: Sequence[Log], arm: Arm) -> ServoFit:
+    """Fit the arm and its servos to records of motion.
+
+    Raises NotIdentifiable if no record has a motion, or if no simulation follows the records.
+    """
+    servo = arm.position_servo
+    assert servo is not None
+    records = [servo_record(log, arm) for log in logs]
+    segments = tuple(segment for record in records for segment in segments_of(record))
+    resolution = resolutions(arm, records)
+    _check_motion(records, segments, resolution)
+    floor = float(np.max(resolution)) / np.sqrt(12.0)
+    loop = ServoLoop(arm, servo, ReferenceHold.HELD)
+    coarse = segments[::_COARSE] if len(segments) >= 4 * _COARSE else segments
+    fits = []
+    for start in linear_starts(loop, records)[:_MAX_STARTS]:
+        fit = fit_from(loop, start.values, coarse, floor, passes=2)
+        fits += [fit] if fit is not None else []
+    if not fits:
+        raise NotIdentifiable(
+            "no simulation of the servos follows the records: check the units and signs of the "
+            "commanded and measured angles, and gear_ratio"
+        )
+    best = choose_limits(min(fits, key=lambda fit: fit.cost))
+    best, by_hold = choose_hold(best)
+    n_unknowns = len(best.x)
+    best, by_gears = choose_gear_effects(best)
+    final = fit_from(best.loop, best.values, segments, floor, passes=3)
+    if final is None:
+        raise NumericalFailure("the simulation of the servos diverges in some segment")
+    changes = np.zeros((len(by_hold) + len(by_gears), len(final.x)))
+    keys = [unknown.keys for unknown in final.unknowns]
+    kept = [keys.index(unknown.keys) for unknown in fits[0].unknowns]
+    if len(kept) == n_unknowns:
+        changes[:, kept] = np.vstack([by_hold, by_gears[:, :n_unknowns]])
+    return replace(final, rival_changes=changes)
+
+
+def resolutions(arm: Arm, records: Sequence[ServoRecord]) -> FloatArray:
+    """One count of each encoder at the joint [rad], (n_joints,)."""
+    counts = [joint.encoder_counts or _DEFAULT_COUNTS for joint in arm.joints]
+    return np.asarray(2.0 * np.pi / np.array(counts) * np.abs(arm.gear_ratios))
+
+
+def _check_motion(
+    records: Sequence[ServoRecord], segments: Sequence[Segment], resolution: FloatArray
+) -> None:
+    if not segments:
+        raise NotIdentifiable("the records are too short: record motions of 10 s or more")
+    for i, count in enumerate(resolution.tolist(), start=1):
+        span = max(float(np.ptp(record.angle[:, i - 1])) for record in records)
+        if span < _MIN_COUNTS * count:
+            raise NotIdentifiable(
+                f"joint {i} moves by {span:.2g} rad, {span / count:.0f} counts of its encoder: "
+                "command motions of some tenths of a radian, fast and slow"
+            )
