@@ -127,7 +127,10 @@ def position_study(folder: Path, spring: Spring, delay: float) -> tuple[Study, V
 def test_a_position_servo_moves_as_its_sampled_law(
     mujoco: ModuleType, spring: Spring, tmp_path: Path
 ) -> None:
-    """The law sampled and held at 2 kHz on the exported arm with a torque motor, within 1 %."""
+    """The law sampled and held at 2 kHz on the exported arm with a torque motor, within 0.1 %.
+
+    Without the inertia of the hold the elastic arm differs by 0.4 %.
+    """
     delay = 0.008
     study, values = position_study(tmp_path, spring, delay)
     arm = completed(exports.arm_of(study, values), "mjcf")
@@ -164,7 +167,7 @@ def test_a_position_servo_moves_as_its_sampled_law(
             data.ctrl[:] = command(data.time)
             mujoco.mj_step(model, data)
     wanted = by_law()
-    assert np.linalg.norm(np.array(found) - wanted) < 0.01 * np.linalg.norm(wanted)
+    assert np.linalg.norm(np.array(found) - wanted) < 0.001 * np.linalg.norm(wanted)
     assert np.abs(wanted).max() > 0.1
 
 

@@ -10,7 +10,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from xml.etree import ElementTree as ET
 
-from strainwave.domain import FloatArray
+import numpy as np
+
+from strainwave.domain import Diagnostic, FloatArray, Joint
 from strainwave.domain.arm.combinations import is_rigid_drive
 from strainwave.domain.arm.description import Vector
 from strainwave.domain.arm.kinds import kind_of
@@ -41,22 +43,16 @@ def to_mjcf(arm: IdentifiedArm, target: Target | None = None) -> Export:
     missing or not physical.
     """
     target = target or Target()
-    held, losses_of_values = drives.losses_of_effects(arm, target)
-    held |= {"servo"} if arm.study.arm.position_servo else set()
-    losses = source.losses(arm, (*_HELD, *held))
-    losses += (*losses_of_values, *drives.losses_by_version(arm, target))
     joints = list(enumerate(arm.study.arm.joints, start=1))
-    unplaced = [i for i, joint in joints if joint.imu and _mounting(arm, i) is None]
-    if unplaced:
-        losses += (source.loss("IMU at an unknown place", unplaced),)
     gravity = completion.effective_gravity(arm)
     bodies = completion.link_bodies(arm, gravity)
     coordinates = coordinates_of(arm.study.arm)
     rigid = [i for i, joint in joints if not joint.elastic]
     # motors behind rigid gears that turn with several joints
     shared = [i for i in rigid if not coordinates.has_own_motor(i)]
-    losses += tuple(drives.loss_of_shared_motors(shared, target))
-    notes = (*arm.assumptions, *source.loss_note(losses))
+    losses = _losses(arm, target, shared)
+    of_servo = [drives.NOTE_OF_HOLD] if arm.study.arm.position_servo else []
+    notes = (*arm.assumptions, *of_servo, *source.loss_note(losses))
     mujoco = ET.Element("mujoco", model="arm")
     origin = "Identified by strainwave. SI units, angles in rad."
     for text in (origin, *map(source.sentence_of, notes)):
@@ -108,6 +104,18 @@ def to_mjcf(arm: IdentifiedArm, target: Target | None = None) -> Export:
     )
 
 
+def _losses(arm: IdentifiedArm, target: Target, shared: list[int]) -> tuple[Diagnostic, ...]:
+    """Parts that the file lacks; motors `shared` turn with several joints."""
+    held, losses_of_values = drives.losses_of_effects(arm, target)
+    held |= set(drives.SERVO_PARAMETERS) if arm.study.arm.position_servo else set()
+    losses = [*source.losses(arm, (*_HELD, *held)), *losses_of_values]
+    losses += drives.losses_by_version(arm, target, shared)
+    joints = enumerate(arm.study.arm.joints, start=1)
+    if unplaced := [i for i, joint in joints if joint.imu and _mounting(arm, i) is None]:
+        losses.append(source.loss("IMU at an unknown place", unplaced))
+    return tuple(losses)
+
+
 def _comment(parent: ET.Element, text: str) -> None:
     parent.append(ET.Comment(f" {source.comment_text(text)} "))
 
@@ -141,9 +149,11 @@ def _link(
     attributes["damping"] = numbers(viscous)
     if not joint.elastic and coordinates.has_own_motor(number):
         attributes |= drives.motor_friction(arm, number, "springref", joint.gear_ratio, viscous)
+        armature = -drives.inertia_of_hold(arm, number, _own_inertia(joint, body))
         if not is_rigid_drive(arm.study.arm):
-            inertia = arm.need("motor_inertia", number) / joint.gear_ratio**2
-            attributes["armature"] = numbers(inertia)
+            armature += arm.need("motor_inertia", number) / joint.gear_ratio**2
+        if armature:
+            attributes["armature"] = numbers(armature)
     ET.SubElement(element, "joint", attributes)
     x, y, _ = axes_about(joint.axis)
     for axis, tag, _ in _installed(arm, number):
@@ -172,13 +182,24 @@ def _link(
 
 def _motor(world: ET.Element, arm: IdentifiedArm, number: int) -> None:
     """A motor with its friction; its axis passes through its centre of mass."""
-    inertia = arm.need("motor_inertia", number)
+    inertia, ratio = arm.need("motor_inertia", number), arm.joint(number).gear_ratio
+    inertia -= ratio**2 * drives.inertia_of_hold(arm, number, inertia / ratio**2)
     element = ET.SubElement(world, "body", name=f"motor{number}")
     _inertial(element, Body.in_plane(inertia, 0.0, inertia))
     # also the motor of a prismatic joint turns; gravity would pull a slide
     hinge = {"type": "hinge", "axis": numbers(*arm.joint(number).axis)}
     hinge |= drives.motor_friction(arm, number, "springref")
     ET.SubElement(element, "joint", hinge, name=f"motor_joint{number}")
+
+
+def _own_inertia(joint: Joint, body: Body) -> float:
+    """Inertia of a link [kg m^2] about the axis of its joint; mass [kg] of a prismatic joint."""
+    if joint.motion == "prismatic":
+        return body.mass
+    xx, yy, zz, xy, xz, yz = body.inertia
+    inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    axis, lever = np.array(joint.axis), np.cross(joint.axis, body.centre)
+    return float(axis @ inertia @ axis / (axis @ axis) + body.mass * lever @ lever)
 
 
 def _inertial(element: ET.Element, body: Body) -> None:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
 from xml.etree import ElementTree as ET
@@ -305,8 +305,8 @@ def _add_servo(
 ) -> None:
     """The servo kp (ref(t - T) - q) - kd dq within its limit; its control is the reference.
 
-    The servo holds its output over a period h, on average h/2 late: that is -kp h/2 of damping, and
-    h/2 of delay of the reference.
+    The servo holds its output over a period h, on average h/2 late: that is -kp h/2 of damping,
+    h/2 of delay of the reference, and -kd h/2 of inertia (`inertia_of_hold`).
     """
     gains = servo_gains(arm, number, servo)
     damping = max(gains.damping - 0.5 * gains.stiffness * servo.period, 0.0)
@@ -319,6 +319,28 @@ def _add_servo(
     if target.has("delay"):
         element.set("delay", numbers(delay))
         element.set("nsample", str(math.ceil(delay / STEP_S) + 1))
+
+
+NOTE_OF_HOLD = (
+    "the servo samples and holds: damping, delay and inertia of the file are those of the nearest "
+    "continuous law"
+)
+_MAX_SHARE_OF_HOLD = 0.5  # of an inertia; a law that is later has no continuous one near it
+
+
+def inertia_of_hold(arm: IdentifiedArm, number: int, inertia: float) -> float:
+    """Inertia kd h/2 [kg m^2] by which the hold of a servo reduces that of its joint."""
+    servo = arm.study.arm.position_servo
+    if servo is None:
+        return 0.0
+    reduction = 0.5 * servo.period * servo_gains(arm, number, servo).damping
+    return min(reduction, _MAX_SHARE_OF_HOLD * inertia)
+
+
+SERVO_PARAMETERS = (
+    *("servo", "servo_kp", "servo_kd", "servo_damping", "servo_delay", "torque_limit"),
+)
+"""Parts of a position servo."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -387,17 +409,15 @@ def approximations(arm: IdentifiedArm, target: Target) -> tuple[Diagnostic, ...]
     return tuple(warnings)
 
 
-def losses_by_version(arm: IdentifiedArm, target: Target) -> Iterator[Diagnostic]:
-    """Gears, motors and servos for which a later version has an element."""
+def losses_by_version(
+    arm: IdentifiedArm, target: Target, shared: list[JointNumber]
+) -> Iterator[Diagnostic]:
+    """Gears, servos and motors of several joints for which a later version has an element."""
     joints = list(enumerate(arm.study.arm.joints, start=1))
     curved = [i for i, j in joints if j.elastic and j.law.polynomial(partial(arm.need, joint=i))]
     if curved and not target.has("polynomial"):
         yield target.loss("curvature of the gear", "polynomial", curved)
     if arm.study.arm.position_servo and not target.has("delay"):
         yield target.loss("delay of the servo", "delay", [i for i, _ in joints])
-
-
-def loss_of_shared_motors(joints: Iterable[JointNumber], target: Target) -> Iterator[Diagnostic]:
-    """Inertia of motors that turn with several joints, for which old versions have no element."""
-    if (shared := list(joints)) and not target.has("armature"):
+    if shared and not target.has("armature"):
         yield target.loss("motor_inertia", "armature", shared)
