@@ -6,6 +6,7 @@ import math
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
+from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
@@ -183,11 +184,15 @@ def test_a_servo_without_scale_has_a_gain_of_one(tmp_path: Path) -> None:
     identified = replace(identified, parameters=(*identified.parameters, *added))
     export = to_mjcf(completed(identified, "mjcf"))
     text = export.data.decode()
-    assert 'kp="1.0"' in text
     assert 'forcerange="-0.3 0.3"' in text
-    # half a period of the hold: less damping, more delay
-    assert f'kv="{0.5 - 0.5 * 0.001!r}"' in text
+    # half a period of the hold: less damping, more delay; more gain in place of less inertia
     assert f'delay="{0.01 + 0.0005!r}"' in text
+    servo = ET.fromstring(text).find("actuator/position")
+    assert servo is not None
+    inertia = 3.0 + 0.02 / study.arm.joints[0].gear_ratio ** 2
+    share = inertia / (inertia - 0.5 * 0.5 * 0.001)
+    assert np.isclose(float(servo.attrib["kp"]), share, rtol=1e-9)
+    assert np.isclose(float(servo.attrib["kv"]), share * (0.5 - 0.5 * 0.001), rtol=1e-9)
     old = to_mjcf(completed(identified, "mjcf"), Target.of("3.2"))
     assert [x.where for x in old.losses_of_version] == ["joint 1"]
     assert "nsample" not in old.data.decode()

@@ -10,9 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from xml.etree import ElementTree as ET
 
-import numpy as np
-
-from strainwave.domain import Diagnostic, FloatArray, Joint
+from strainwave.domain import Diagnostic, FloatArray
 from strainwave.domain.arm.combinations import is_rigid_drive
 from strainwave.domain.arm.description import Vector
 from strainwave.domain.arm.kinds import kind_of
@@ -149,11 +147,9 @@ def _link(
     attributes["damping"] = numbers(viscous)
     if not joint.elastic and coordinates.has_own_motor(number):
         attributes |= drives.motor_friction(arm, number, "springref", joint.gear_ratio, viscous)
-        armature = -drives.inertia_of_hold(arm, number, _own_inertia(joint, body))
         if not is_rigid_drive(arm.study.arm):
-            armature += arm.need("motor_inertia", number) / joint.gear_ratio**2
-        if armature:
-            attributes["armature"] = numbers(armature)
+            inertia = arm.need("motor_inertia", number) / joint.gear_ratio**2
+            attributes["armature"] = numbers(inertia)
     ET.SubElement(element, "joint", attributes)
     x, y, _ = axes_about(joint.axis)
     for axis, tag, _ in _installed(arm, number):
@@ -190,16 +186,6 @@ def _motor(world: ET.Element, arm: IdentifiedArm, number: int) -> None:
     hinge = {"type": "hinge", "axis": numbers(*arm.joint(number).axis)}
     hinge |= drives.motor_friction(arm, number, "springref")
     ET.SubElement(element, "joint", hinge, name=f"motor_joint{number}")
-
-
-def _own_inertia(joint: Joint, body: Body) -> float:
-    """Inertia of a link [kg m^2] about the axis of its joint; mass [kg] of a prismatic joint."""
-    if joint.motion == "prismatic":
-        return body.mass
-    xx, yy, zz, xy, xz, yz = body.inertia
-    inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    axis, lever = np.array(joint.axis), np.cross(joint.axis, body.centre)
-    return float(axis @ inertia @ axis / (axis @ axis) + body.mass * lever @ lever)
 
 
 def _inertial(element: ET.Element, body: Body) -> None:

@@ -22,6 +22,7 @@ from strainwave.domain import Diagnostic, Joint, Place, PositionServo
 from strainwave.domain.arm.combinations import is_rigid_drive
 from strainwave.domain.arm.effects import all_effects
 from strainwave.domain.keys import JointNumber
+from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
 from strainwave.export import completion, source
 from strainwave.export.source import IdentifiedArm, numbers
@@ -306,13 +307,18 @@ def _add_servo(
     """The servo kp (ref(t - T) - q) - kd dq within its limit; its control is the reference.
 
     The servo holds its output over a period h, on average h/2 late: that is -kp h/2 of damping,
-    h/2 of delay of the reference, and -kd h/2 of inertia (`inertia_of_hold`).
+    h/2 of delay of the reference, and -kd h/2 of inertia. The inertia is that of the motor of an
+    elastic joint. For a rigid joint the gains are larger instead, by the same share: at its limit
+    the servo does not change the inertia.
     """
-    gains = servo_gains(arm, number, servo)
+    gains, share = servo_gains(arm, number, servo), 1.0
+    if not arm.joint(number).elastic:
+        inertia = _inertia_of_joint(arm, number)
+        share = inertia / (inertia - inertia_of_hold(arm, number, inertia))
     damping = max(gains.damping - 0.5 * gains.stiffness * servo.period, 0.0)
     element = ET.SubElement(actuators, "position", attributes)
-    element.set("kp", numbers(gains.stiffness))
-    element.set("kv", numbers(damping))
+    element.set("kp", numbers(share * gains.stiffness))
+    element.set("kv", numbers(share * damping))
     if gains.limit is not None:
         element.set("forcerange", numbers(-gains.limit, gains.limit))
     delay = gains.delay + 0.5 * servo.period
@@ -322,8 +328,8 @@ def _add_servo(
 
 
 NOTE_OF_HOLD = (
-    "the servo samples and holds: damping, delay and inertia of the file are those of the nearest "
-    "continuous law"
+    "the servo samples and holds: gains, delay and motor inertia of the file are those of the "
+    "nearest continuous law"
 )
 _MAX_SHARE_OF_HOLD = 0.5  # of an inertia; a law that is later has no continuous one near it
 
@@ -335,6 +341,15 @@ def inertia_of_hold(arm: IdentifiedArm, number: int, inertia: float) -> float:
         return 0.0
     reduction = 0.5 * servo.period * servo_gains(arm, number, servo).damping
     return min(reduction, _MAX_SHARE_OF_HOLD * inertia)
+
+
+def _inertia_of_joint(arm: IdentifiedArm, number: int) -> float:
+    """Inertia [kg m^2] of a rigid joint with its motor and the links behind it, at zero angles."""
+    chain = Arm.of(completion.chain_of(arm, 0.0))
+    links = np.concatenate(completion.standard_links(arm, completion.effective_gravity(arm)))
+    inertia = chain.inertia_matrix(links, np.zeros(chain.n_joints))[number - 1, number - 1]
+    rotor = completion.rotor_inertias(arm)[number - 1]
+    return float(inertia + rotor / arm.joint(number).gear_ratio ** 2)
 
 
 SERVO_PARAMETERS = (
