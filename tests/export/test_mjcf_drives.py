@@ -187,12 +187,13 @@ def test_a_servo_without_scale_has_a_gain_of_one(tmp_path: Path) -> None:
     assert 'forcerange="-0.3 0.3"' in text
     # half a period of the hold: less damping, more delay; more gain in place of less inertia
     assert f'delay="{0.01 + 0.0005!r}"' in text
-    servo = ET.fromstring(text).find("actuator/position")
+    servo = ET.fromstring(text).find("actuator/general")
     assert servo is not None
+    bias = [float(x) for x in servo.attrib["biasprm"].split()]
     inertia = 3.0 + 0.02 / study.arm.joints[0].gear_ratio ** 2
     share = inertia / (inertia - 0.5 * 0.5 * 0.001)
-    assert np.isclose(float(servo.attrib["kp"]), share, rtol=1e-9)
-    assert np.isclose(float(servo.attrib["kv"]), share * (0.5 - 0.5 * 0.001), rtol=1e-9)
+    assert np.isclose(float(servo.attrib["gainprm"]), share, rtol=1e-9)
+    assert np.allclose(bias, [0.0, -share, -share * (0.5 - 0.5 * 0.001)], rtol=1e-9)
     old = to_mjcf(completed(identified, "mjcf"), Target.of("3.2"))
     assert [x.where for x in old.losses_of_version] == ["joint 1"]
     assert "nsample" not in old.data.decode()

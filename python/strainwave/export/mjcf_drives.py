@@ -316,9 +316,11 @@ def _add_servo(
         inertia = _inertia_of_joint(arm, number)
         share = inertia / (inertia - inertia_of_hold(arm, number, inertia))
     damping = max(gains.damping - 0.5 * gains.stiffness * servo.period, 0.0)
-    element = ET.SubElement(actuators, "position", attributes)
-    element.set("kp", numbers(share * gains.stiffness))
-    element.set("kv", numbers(share * damping))
+    stiffness, damping = share * gains.stiffness, share * damping
+    # `position` has no damping before MuJoCo 3.1
+    element = ET.SubElement(actuators, "general", attributes, biastype="affine")
+    element.set("gainprm", numbers(stiffness))
+    element.set("biasprm", numbers(0.0, -stiffness, -damping))
     if gains.limit is not None:
         element.set("forcerange", numbers(-gains.limit, gains.limit))
     delay = gains.delay + 0.5 * servo.period
