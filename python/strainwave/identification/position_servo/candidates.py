@@ -25,6 +25,7 @@ from strainwave.identification.position_servo.records import MAX_DELAY, Referenc
 from strainwave.identification.position_servo.states import deviations, initial_state
 from strainwave.identification.position_servo.unknowns import unknowns_of
 
+_CALM_RATIO = 2.0  # of residuals over their median
 _LIMITS = np.geomspace(0.1, 1.6, 16)  # of a torque limit, over the largest torque of the start
 LIMIT_UNREACHED = 3.0
 """Factor on the largest torque of the fitted records, beyond which a limit has no effect."""
@@ -50,29 +51,46 @@ def fit_from(
     return fit_segments(loop, guess, *unknowns_of(loop, values), floor, passes=passes)
 
 
-def choose_limits(fit: ServoFit) -> ServoFit:
-    """The fit with the torque limits that the residuals show, joint by joint.
+def calm_segments(
+    loop: ServoLoop, values: Values, segments: Sequence[Segment], floor: float
+) -> tuple[Segment, ...]:
+    """Segments that a start predicts about as well as most.
+
+    Beyond a torque limit that a start does not know, simulation and measurement part.
+    """
+    states = [initial_state(loop, segment) for segment in segments]
+    sizes = np.max(np.maximum(deviations(loop, values, segments, states), floor), axis=1)
+    is_calm = sizes <= _CALM_RATIO * np.median(sizes)
+    return tuple(s for s, calm in zip(segments, is_calm, strict=True) if calm)
+
+
+def choose_limits(fit: ServoFit, segments: Sequence[Segment]) -> ServoFit | None:
+    """Fit of more segments, with the torque limits that they show, joint by joint.
 
     Residuals beyond a limit do not show where it is, so it is searched on a grid. A limit that
-    explains little stands in for another effect: the joint then has none.
+    explains little stands in for another effect: the joint then has none. None if no simulation
+    follows the segments.
     """
-    for i in fit.loop.numbers:
-        loop, values = fit.loop, fit.values
-        top, costs = values[LIMIT, i], dict[float, float]()
+    loop, floor = fit.loop, fit.resolution
+    states = [initial_state(loop, segment) for segment in segments]
+    tops = {i: fit.values[LIMIT, i] for i in loop.numbers}
+    values = fit.values
+    for i, top in tops.items():
+        costs = dict[float, float]()
         for limit in (_LIMITS * top).tolist():
-            changed = values | {(LIMIT, i): limit}
-            sizes = deviations(loop, changed, fit.segments, fit.states)
-            costs[limit] = float(np.sum(np.log(np.maximum(sizes, fit.resolution))))
-        best = min(costs, key=costs.__getitem__)
-        limited, free = (
-            fit_from(loop, values | {(LIMIT, i): limit}, fit.segments, fit.resolution, passes=2)
-            for limit in (best, LIMIT_UNREACHED * top)
-        )
-        if limited is not None and limited.cost < fit.cost:
-            fit = limited
-        if free is not None and free.cost < fit.cost + _DECISIVE_COST:
-            fit = free
-    return fit
+            sizes = deviations(loop, values | {(LIMIT, i): limit}, segments, states)
+            costs[limit] = float(np.sum(np.log(np.maximum(sizes, floor))))
+        values = values | {(LIMIT, i): min(costs, key=costs.__getitem__)}
+    best = fit_from(loop, values, segments, floor, passes=2)
+    for i, top in tops.items():
+        if best is not None and not best.saturated[i - 1]:
+            continue
+        start = values if best is None else best.values
+        unlimited = start | {(LIMIT, i): LIMIT_UNREACHED * top}
+        free = fit_from(loop, unlimited, segments, floor, passes=2)
+        if free is not None and (best is None or free.cost < best.cost + _DECISIVE_COST):
+            best = free
+    return best
 
 
 def choose_hold(held: ServoFit) -> tuple[ServoFit, FloatArray]:

@@ -25,7 +25,7 @@ from strainwave.numerics.search import Linearised, minimise
 
 _STEP = 1e-3  # of differences, over the scale of an unknown
 _TOLERANCE, _RELATIVE_TOLERANCE = 0.1, 1e-5  # of the cost: a third of a standard deviation
-_MAX_EVALUATIONS = 15  # per pass; the weights change between passes
+_MAX_EVALUATIONS = 25  # per pass; the weights change between passes
 
 
 @dataclass(frozen=True, slots=True)

@@ -51,7 +51,7 @@ def unknowns_of(loop: ServoLoop, values: Values) -> tuple[list[Unknown], list[Pr
         keys: list[tuple[str, float, float, float]] = [
             (VISCOUS, size, 0.0, np.inf),
             (COULOMB, values[COULOMB, i] + 0.01 * torque, 0.0, np.inf),
-            (OFFSET, 0.02 * torque, -np.inf, np.inf),
+            (OFFSET, 0.1 * torque, -np.inf, np.inf),
             (VELOCITY_LAG, 0.5, -1.0, 3.0),
             (LIMIT, 0.2 * torque, 0.02 * torque, np.inf),
         ]
