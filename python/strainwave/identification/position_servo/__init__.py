@@ -35,7 +35,7 @@ from strainwave.identification.position_servo.records import (
 )
 from strainwave.identification.position_servo.start import linear_starts
 
-_MAX_STARTS = 3  # delays from which the fit is tried
+_MAX_STARTS = 2  # delays from which the fit is tried
 _COARSE = 3  # one in so many segments takes part in the search of starts
 _MIN_COUNTS = 8  # of the encoder, that a motion must cover
 _DEFAULT_COUNTS = 4096.0  # per turn, of an encoder whose resolution is not given
@@ -56,13 +56,14 @@ def fit_position_servos(logs: Sequence[Log], arm: Arm) -> ServoFit:
     resolution = resolutions(arm, records)
     _check_motion(records, segments, resolution)
     floor = float(np.max(resolution)) / np.sqrt(12.0)
-    loop = ServoLoop(arm, servo, ReferenceHold.HELD)
     coarse = segments[::_COARSE] if len(segments) >= 4 * _COARSE else segments
     fits = []
-    for start in linear_starts(loop, records)[:_MAX_STARTS]:
-        calm = calm_segments(loop, start.values, coarse, floor)
-        fit = fit_from(loop, start.values, calm, floor, passes=2)
-        fits += [fit] if fit is not None else []
+    for hold in (ReferenceHold.HELD, ReferenceHold.LINEAR):
+        loop = ServoLoop(arm, servo, hold)
+        for start in linear_starts(loop, records)[:_MAX_STARTS]:
+            calm = calm_segments(loop, start.values, coarse, floor)
+            fit = fit_from(loop, start.values, calm, floor, passes=2)
+            fits += [fit] if fit is not None else []
     starts = sorted(fits, key=lambda fit: fit.cost / sum(s.angle.size for s in fit.segments))
     best = choose_limits(starts[0], coarse) if starts else None
     if best is None:

@@ -99,19 +99,27 @@ def choose_limits(fit: ServoFit, segments: Sequence[Segment]) -> ServoFit | None
     return best
 
 
-def choose_hold(held: ServoFit) -> tuple[ServoFit, FloatArray]:
+def choose_hold(start: ServoFit) -> tuple[ServoFit, FloatArray]:
     """The fit with the course of commands that the residuals show, and changes by rivals.
 
     Logs usually hold the commands as they were sent. The changes are (n_rivals, n_unknowns).
     """
-    fits = [held]
-    half = 0.5 * float(np.mean([segment.record.sample_time for segment in held.segments]))
-    later = {k: min(v + half, MAX_DELAY) for k, v in held.values.items() if k[0] == DELAY}
-    for hold in (ReferenceHold.LINEAR, ReferenceHold.SMOOTH):
-        loop = replace(held.loop, hold=hold)
-        fit = fit_from(loop, held.values | later, held.segments, held.resolution, passes=2)
-        fits += [fit] if fit is not None else []
-    rows = sum(segment.angle.size for segment in held.segments)
+    half = 0.5 * float(np.mean([segment.record.sample_time for segment in start.segments]))
+    lead = {hold: half * (hold is not ReferenceHold.HELD) for hold in ReferenceHold}
+    fits = []
+    for hold in ReferenceHold:
+        loop, shift = replace(start.loop, hold=hold), lead[hold] - lead[start.loop.hold]
+        delays = {
+            key: min(max(value + shift, 0.0), MAX_DELAY)
+            for key, value in start.values.items()
+            if key[0] == DELAY and loop.servo.delay_of(key[1] or 1) is None
+        }
+        fit = start
+        if hold is not start.loop.hold:
+            values = start.values | delays
+            fit = fit_from(loop, values, start.segments, start.resolution, passes=2) or start
+        fits += [fit] if fit is not start or hold is start.loop.hold else []
+    rows = sum(segment.angle.size for segment in start.segments)
     most = min(fit.cost for fit in fits) + _PLAUSIBLE_COST * rows
     best, *rivals = [fit for fit in fits if fit.cost <= most]
     return best, np.array([rival.x - best.x for rival in rivals]).reshape(-1, len(best.x))
