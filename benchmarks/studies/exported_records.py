@@ -19,6 +19,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 from rich.table import Table
+from scipy.interpolate import interp1d
 
 from benchmarks.console import Console
 from strainwave.domain import FloatArray, Servo
@@ -43,6 +44,7 @@ from strainwave.signals.recorded_input import (
 )
 
 MIN_MOVING_SHARE = 0.01  # of the fastest motor; slower motors are held by their servo, and stick
+STARTING_TIME = 0.5  # [s] of a servo, which begins with an unknown history of commands
 RECORDED: tuple[Quantity, ...] = ("motor_velocity", "motor_angle", "link_angle", "link_velocity")
 
 
@@ -171,6 +173,39 @@ def differences(
         yield log.name, total, float(np.max(error[moves] / size[moves]))
 
 
+def servo_fits(result: Path, path: Path) -> Iterator[tuple[str, float]]:
+    """Record, and fit [%] of the measured angles by the exported position servos in MuJoCo.
+
+    Commands are interpolated. The first half second, in which the motion starts, does not count.
+    """
+    import mujoco
+
+    model = mujoco.MjModel.from_xml_path(str(path))
+    study = read_study(read_document(result_path(result))["study"]["path"])
+    for log in read_logs(study):
+        if log.experiment.payload is not None:
+            continue
+        numbers = range(1, study.arm.n_joints + 1)
+        reference, angle = (
+            np.column_stack([log.channels[f"{name}{i}"] for i in numbers])
+            for name in ("ref", "theta_m")
+        )
+        time = log.sample_time * np.arange(len(log))
+        path_of = interp1d(time, reference, axis=0)
+        data = mujoco.MjData(model)
+        data.qpos[:], data.qvel[:] = angle[0], (angle[3] - angle[0]) / (3.0 * log.sample_time)
+        simulated = np.zeros_like(angle)
+        for k, instant in enumerate(time):
+            while data.time < instant - 0.5 * model.opt.timestep:
+                data.ctrl[:] = path_of(min(data.time, time[-1]))
+                mujoco.mj_step(model, data)
+            simulated[k] = data.qpos
+        counts = time > STARTING_TIME
+        measured, error = angle[counts], (angle - simulated)[counts]
+        spread = np.linalg.norm(measured - measured.mean(axis=0))
+        yield log.name, float(100.0 * (1.0 - np.linalg.norm(error) / spread))
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("results", type=Path, nargs="+")
@@ -185,6 +220,10 @@ def main() -> None:
             out = Path(folder) / "arm.xml"
             identified = read_arm(path)
             export_arm(identified, out)
+            if identified.study.arm.position_servo is not None:
+                for name, fit in servo_fits(path, out):
+                    table.add_row(path.name, name, f"fit of angles {fit:.1f} %")
+                continue
             arm = with_effects(completed(identified, "mjcf", Target().effects))
             try:
                 rows = list(differences(arm, path, out, arguments.seconds))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,7 @@ from strainwave.errors import InvalidInput
 from strainwave.export import state_space
 from strainwave.export.linear_models import linear_arm, to_state_space
 from strainwave.export.mjcf import to_mjcf
+from strainwave.export.mjcf_drives import Target
 from strainwave.export.source import Export, IdentifiedArm
 
 OMEGA: FloatArray = np.geomspace(1.0, 1e3, 40)
@@ -131,7 +133,7 @@ def test_three_slopes_are_linearised_by_the_middle_one(tmp_path: Path) -> None:
     ]
 
 
-@pytest.mark.parametrize("render", [to_state_space, to_mjcf])
+@pytest.mark.parametrize("render", [to_state_space, partial(to_mjcf, target=Target.of("3"))])
 def test_a_cubic_gear_is_linearised_without_torsion(
     render: Callable[[IdentifiedArm], Export], tmp_path: Path
 ) -> None:

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from xml.etree import ElementTree as ET
 
-from strainwave.domain import FloatArray
+from strainwave.domain import Diagnostic, FloatArray
 from strainwave.domain.arm.combinations import is_rigid_drive
 from strainwave.domain.arm.description import Vector
 from strainwave.domain.arm.kinds import kind_of
@@ -41,22 +41,16 @@ def to_mjcf(arm: IdentifiedArm, target: Target | None = None) -> Export:
     missing or not physical.
     """
     target = target or Target()
-    held, losses_of_values = drives.losses_of_effects(arm, target)
-    held |= {"servo"} if arm.study.arm.position_servo else set()
-    losses = source.losses(arm, (*_HELD, *held))
-    losses += (*losses_of_values, *drives.losses_by_version(arm, target))
     joints = list(enumerate(arm.study.arm.joints, start=1))
-    unplaced = [i for i, joint in joints if joint.imu and _mounting(arm, i) is None]
-    if unplaced:
-        losses += (source.loss("IMU at an unknown place", unplaced),)
     gravity = completion.effective_gravity(arm)
     bodies = completion.link_bodies(arm, gravity)
     coordinates = coordinates_of(arm.study.arm)
     rigid = [i for i, joint in joints if not joint.elastic]
     # motors behind rigid gears that turn with several joints
     shared = [i for i in rigid if not coordinates.has_own_motor(i)]
-    losses += tuple(drives.loss_of_shared_motors(shared, target))
-    notes = (*arm.assumptions, *source.loss_note(losses))
+    losses = _losses(arm, target, shared)
+    of_servo = [drives.NOTE_OF_HOLD] if arm.study.arm.position_servo else []
+    notes = (*arm.assumptions, *of_servo, *source.loss_note(losses))
     mujoco = ET.Element("mujoco", model="arm")
     origin = "Identified by strainwave. SI units, angles in rad."
     for text in (origin, *map(source.sentence_of, notes)):
@@ -106,6 +100,18 @@ def to_mjcf(arm: IdentifiedArm, target: Target | None = None) -> Export:
         losses,
         by_mujoco,
     )
+
+
+def _losses(arm: IdentifiedArm, target: Target, shared: list[int]) -> tuple[Diagnostic, ...]:
+    """Parts that the file lacks; motors `shared` turn with several joints."""
+    held, losses_of_values = drives.losses_of_effects(arm, target)
+    held |= set(drives.SERVO_PARAMETERS) if arm.study.arm.position_servo else set()
+    losses = [*source.losses(arm, (*_HELD, *held)), *losses_of_values]
+    losses += drives.losses_by_version(arm, target, shared)
+    joints = enumerate(arm.study.arm.joints, start=1)
+    if unplaced := [i for i, joint in joints if joint.imu and _mounting(arm, i) is None]:
+        losses.append(source.loss("IMU at an unknown place", unplaced))
+    return tuple(losses)
 
 
 def _comment(parent: ET.Element, text: str) -> None:
@@ -172,7 +178,8 @@ def _link(
 
 def _motor(world: ET.Element, arm: IdentifiedArm, number: int) -> None:
     """A motor with its friction; its axis passes through its centre of mass."""
-    inertia = arm.need("motor_inertia", number)
+    inertia, ratio = arm.need("motor_inertia", number), arm.joint(number).gear_ratio
+    inertia -= ratio**2 * drives.inertia_of_hold(arm, number, inertia / ratio**2)
     element = ET.SubElement(world, "body", name=f"motor{number}")
     _inertial(element, Body.in_plane(inertia, 0.0, inertia))
     # also the motor of a prismatic joint turns; gravity would pull a slide

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
 from xml.etree import ElementTree as ET
@@ -22,6 +22,7 @@ from strainwave.domain import Diagnostic, Joint, Place, PositionServo
 from strainwave.domain.arm.combinations import is_rigid_drive
 from strainwave.domain.arm.effects import all_effects
 from strainwave.domain.keys import JointNumber
+from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
 from strainwave.export import completion, source
 from strainwave.export.source import IdentifiedArm, numbers
@@ -305,20 +306,58 @@ def _add_servo(
 ) -> None:
     """The servo kp (ref(t - T) - q) - kd dq within its limit; its control is the reference.
 
-    The servo holds its output over a period h, on average h/2 late: that is -kp h/2 of damping, and
-    h/2 of delay of the reference.
+    The servo holds its output over a period h, on average h/2 late: that is -kp h/2 of damping,
+    h/2 of delay of the reference, and -kd h/2 of inertia. The inertia is that of the motor of an
+    elastic joint. For a rigid joint the gains are larger instead, by the same share: at its limit
+    the servo does not change the inertia.
     """
-    gains = servo_gains(arm, number, servo)
+    gains, share = servo_gains(arm, number, servo), 1.0
+    if not arm.joint(number).elastic:
+        inertia = _inertia_of_joint(arm, number)
+        share = inertia / (inertia - inertia_of_hold(arm, number, inertia))
     damping = max(gains.damping - 0.5 * gains.stiffness * servo.period, 0.0)
-    element = ET.SubElement(actuators, "position", attributes)
-    element.set("kp", numbers(gains.stiffness))
-    element.set("kv", numbers(damping))
+    stiffness, damping = share * gains.stiffness, share * damping
+    # `position` has no damping before MuJoCo 3.1
+    element = ET.SubElement(actuators, "general", attributes, biastype="affine")
+    element.set("gainprm", numbers(stiffness))
+    element.set("biasprm", numbers(0.0, -stiffness, -damping))
     if gains.limit is not None:
         element.set("forcerange", numbers(-gains.limit, gains.limit))
     delay = gains.delay + 0.5 * servo.period
     if target.has("delay"):
         element.set("delay", numbers(delay))
         element.set("nsample", str(math.ceil(delay / STEP_S) + 1))
+
+
+NOTE_OF_HOLD = (
+    "the servo samples and holds: gains, delay and motor inertia of the file are those of the "
+    "nearest continuous law"
+)
+_MAX_SHARE_OF_HOLD = 0.5  # of an inertia; a law that is later has no continuous one near it
+
+
+def inertia_of_hold(arm: IdentifiedArm, number: int, inertia: float) -> float:
+    """Inertia kd h/2 [kg m^2] by which the hold of a servo reduces that of its joint."""
+    servo = arm.study.arm.position_servo
+    if servo is None:
+        return 0.0
+    reduction = 0.5 * servo.period * servo_gains(arm, number, servo).damping
+    return min(reduction, _MAX_SHARE_OF_HOLD * inertia)
+
+
+def _inertia_of_joint(arm: IdentifiedArm, number: int) -> float:
+    """Inertia [kg m^2] of a rigid joint with its motor and the links behind it, at zero angles."""
+    chain = Arm.of(completion.chain_of(arm, 0.0))
+    links = np.concatenate(completion.standard_links(arm, completion.effective_gravity(arm)))
+    inertia = chain.inertia_matrix(links, np.zeros(chain.n_joints))[number - 1, number - 1]
+    rotor = completion.rotor_inertias(arm)[number - 1]
+    return float(inertia + rotor / arm.joint(number).gear_ratio ** 2)
+
+
+SERVO_PARAMETERS = (
+    *("servo", "servo_kp", "servo_kd", "servo_damping", "servo_delay", "torque_limit"),
+)
+"""Parts of a position servo."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -387,17 +426,15 @@ def approximations(arm: IdentifiedArm, target: Target) -> tuple[Diagnostic, ...]
     return tuple(warnings)
 
 
-def losses_by_version(arm: IdentifiedArm, target: Target) -> Iterator[Diagnostic]:
-    """Gears, motors and servos for which a later version has an element."""
+def losses_by_version(
+    arm: IdentifiedArm, target: Target, shared: list[JointNumber]
+) -> Iterator[Diagnostic]:
+    """Gears, servos and motors of several joints for which a later version has an element."""
     joints = list(enumerate(arm.study.arm.joints, start=1))
     curved = [i for i, j in joints if j.elastic and j.law.polynomial(partial(arm.need, joint=i))]
     if curved and not target.has("polynomial"):
         yield target.loss("curvature of the gear", "polynomial", curved)
     if arm.study.arm.position_servo and not target.has("delay"):
         yield target.loss("delay of the servo", "delay", [i for i, _ in joints])
-
-
-def loss_of_shared_motors(joints: Iterable[JointNumber], target: Target) -> Iterator[Diagnostic]:
-    """Inertia of motors that turn with several joints, for which old versions have no element."""
-    if (shared := list(joints)) and not target.has("armature"):
+    if shared and not target.has("armature"):
         yield target.loss("motor_inertia", "armature", shared)

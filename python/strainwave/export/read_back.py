@@ -94,7 +94,6 @@ _ACTUATOR = {
     "gainprm": ("actuator_gainprm",),
     "biasprm": ("actuator_biasprm",),
     "dynprm": ("actuator_dynprm",),
-    "kp": ("actuator_gainprm",),
     "forcerange": ("actuator_forcerange",),
     "delay": ("actuator_delay",),
 }
@@ -156,8 +155,6 @@ def _of_mjcf(model: Any, root: ET.Element) -> Iterator[Value]:
         at = model.actuator(actuator.attrib["name"]).id
         yield from _attributes(model, actuator, at, _ACTUATOR)
         name = actuator.attrib["name"]
-        if "kv" in actuator.attrib:
-            yield f"{name} kv", _vector(actuator, "kv"), -model.actuator_biasprm[at, 2]
         if "ctrlrange" in actuator.attrib:  # MuJoCo 4 has actuators with several controls or none
             control = model.actuator_ctrladr[at] if hasattr(model, "actuator_ctrladr") else at
             read = model.actuator_ctrlrange[control]

@@ -129,6 +129,9 @@ def _requirements(results: StageResults) -> tuple[list[Stage], list[Key]]:
     study = results.study
     arm, base = study.arm, base_parameters(study.arm)
     elastic = [number for number, joint in enumerate(arm.joints, start=1) if joint.elastic]
+    gears: list[Key] = [(STIFFNESS, number) for number in elastic]
+    if arm.position_servo is not None:
+        elastic = []  # all stages are one fit
     has_motion = any(e.use == "motion" for e in study.experiments)
     is_independent = is_uncoupled(arm) and bool(elastic)
     has_decoupled = bool(elastic) and "decoupled" in results.stages
@@ -140,7 +143,8 @@ def _requirements(results: StageResults) -> tuple[list[Stage], list[Key]]:
     for number, joint in enumerate(arm.joints, start=1):
         if not joint.torque_at_link:  # a sensor behind the gear does not show the friction
             keys += [(viscous, number), ("motor_coulomb_friction", number)]
-    has_whole_arm = "tuned" in results.stages and len(elastic) == arm.n_joints
+    keys += gears if arm.position_servo is not None else []
+    has_whole_arm = "tuned" in results.stages and bool(elastic) and len(elastic) == arm.n_joints
     is_excited = any(e.use in ("frequency", "sweep") for e in study.experiments)
     if has_decoupled and (is_excited or not has_whole_arm):
         stages.append("decoupled")
@@ -238,9 +242,8 @@ def _validate_models(results: StageResults) -> Validation:
     has_servo = results.study.arm.position_servo is not None
     drives = [check for check in results.checks if check.of_drive or has_servo]
     has_motion = any(math.isfinite(fit) for check in drives for fit in check.fit_percent.values())
-    is_missed = any(
-        (check.of_drive or has_servo) and check.unexplained for check in _decisive_checks(results)
-    )
+    decisive = _decisive_checks(results)
+    is_missed = any((check.of_drive or has_servo) and check.unexplained for check in decisive)
     return Validation(
         rigid=has_motion and not is_missed,
         elastic=min(effects, default=0.0) >= MIN_STIFFNESS_EFFECT

@@ -11,7 +11,8 @@ from strainwave.domain import FloatArray
 from strainwave.domain.arm.parameter_table import COULOMB
 from strainwave.domain.keys import JointNumber, Values
 from strainwave.dynamics.arm import Arm
-from strainwave.identification.position_servo.fit import Guess, ServoFit, fit_segments
+from strainwave.errors import InvalidInput, NumericalFailure
+from strainwave.identification.position_servo.fit import Guess, ServoFit, Unknown, fit_segments
 from strainwave.identification.position_servo.loop import (
     DELAY,
     GEAR_DAMPING,
@@ -25,6 +26,7 @@ from strainwave.identification.position_servo.records import MAX_DELAY, Referenc
 from strainwave.identification.position_servo.states import deviations, initial_state
 from strainwave.identification.position_servo.unknowns import unknowns_of
 
+_CALM_RATIO = 2.0  # of residuals over their median
 _LIMITS = np.geomspace(0.1, 1.6, 16)  # of a torque limit, over the largest torque of the start
 LIMIT_UNREACHED = 3.0
 """Factor on the largest torque of the fitted records, beyond which a limit has no effect."""
@@ -36,6 +38,8 @@ _DECISIVE_COST = 40.0
 # resolution do not tell courses whose root mean squares differ by less than 0.5 %.
 _PLAUSIBLE_COST = 0.01
 _GEAR_HZ = 100.0  # resonance of a gear that is stiff beside a servo, which is below 20 Hz
+_RESONANCES_HZ = (8.0, 16.0, 32.0, 64.0)  # where the search of a stiffness starts
+_MOTOR_SHARE = 0.5  # of inertias, where it starts
 _GEAR_DAMPING_RATIO = 0.02
 _MAX_JOINTS_WITH_EFFECTS = 1  # with couplings, effects of one joint hide in those of others
 
@@ -45,49 +49,77 @@ def fit_from(
 ) -> ServoFit | None:
     """Fit from values, with states from the measured angles; None if a simulation diverges."""
     states = tuple(initial_state(loop, segment) for segment in segments)
-    sizes = np.maximum(deviations(loop, values, segments, states), floor)
+    try:
+        sizes = np.maximum(deviations(loop, values, segments, states), floor)
+    except (InvalidInput, NumericalFailure):  # of an arm that cannot exist
+        return None
     guess = Guess(values, tuple(segments), states, sizes)
     return fit_segments(loop, guess, *unknowns_of(loop, values), floor, passes=passes)
 
 
-def choose_limits(fit: ServoFit) -> ServoFit:
-    """The fit with the torque limits that the residuals show, joint by joint.
+def calm_segments(
+    loop: ServoLoop, values: Values, segments: Sequence[Segment], floor: float
+) -> tuple[Segment, ...]:
+    """Segments that a start predicts about as well as most.
+
+    Beyond a torque limit that a start does not know, simulation and measurement part.
+    """
+    states = [initial_state(loop, segment) for segment in segments]
+    sizes = np.max(np.maximum(deviations(loop, values, segments, states), floor), axis=1)
+    is_calm = sizes <= _CALM_RATIO * np.median(sizes)
+    return tuple(s for s, calm in zip(segments, is_calm, strict=True) if calm)
+
+
+def choose_limits(fit: ServoFit, segments: Sequence[Segment]) -> ServoFit | None:
+    """Fit of more segments, with the torque limits that they show, joint by joint.
 
     Residuals beyond a limit do not show where it is, so it is searched on a grid. A limit that
-    explains little stands in for another effect: the joint then has none.
+    explains little stands in for another effect: the joint then has none. None if no simulation
+    follows the segments.
     """
-    for i in fit.loop.numbers:
-        loop, values = fit.loop, fit.values
-        top, costs = values[LIMIT, i], dict[float, float]()
+    loop, floor = fit.loop, fit.resolution
+    states = [initial_state(loop, segment) for segment in segments]
+    tops = {i: fit.values[LIMIT, i] for i in loop.numbers}
+    values = fit.values
+    for i, top in tops.items():
+        costs = dict[float, float]()
         for limit in (_LIMITS * top).tolist():
-            changed = values | {(LIMIT, i): limit}
-            sizes = deviations(loop, changed, fit.segments, fit.states)
-            costs[limit] = float(np.sum(np.log(np.maximum(sizes, fit.resolution))))
-        best = min(costs, key=costs.__getitem__)
-        limited, free = (
-            fit_from(loop, values | {(LIMIT, i): limit}, fit.segments, fit.resolution, passes=2)
-            for limit in (best, LIMIT_UNREACHED * top)
-        )
-        if limited is not None and limited.cost < fit.cost:
-            fit = limited
-        if free is not None and free.cost < fit.cost + _DECISIVE_COST:
-            fit = free
-    return fit
+            sizes = deviations(loop, values | {(LIMIT, i): limit}, segments, states)
+            costs[limit] = float(np.sum(np.log(np.maximum(sizes, floor))))
+        values = values | {(LIMIT, i): min(costs, key=costs.__getitem__)}
+    best = fit_from(loop, values, segments, floor, passes=2)
+    for i, top in tops.items():
+        if best is not None and not best.saturated[i - 1]:
+            continue
+        start = values if best is None else best.values
+        unlimited = start | {(LIMIT, i): LIMIT_UNREACHED * top}
+        free = fit_from(loop, unlimited, segments, floor, passes=2)
+        if free is not None and (best is None or free.cost < best.cost + _DECISIVE_COST):
+            best = free
+    return best
 
 
-def choose_hold(held: ServoFit) -> tuple[ServoFit, FloatArray]:
+def choose_hold(start: ServoFit) -> tuple[ServoFit, FloatArray]:
     """The fit with the course of commands that the residuals show, and changes by rivals.
 
     Logs usually hold the commands as they were sent. The changes are (n_rivals, n_unknowns).
     """
-    fits = [held]
-    half = 0.5 * float(np.mean([segment.record.sample_time for segment in held.segments]))
-    later = {k: min(v + half, MAX_DELAY) for k, v in held.values.items() if k[0] == DELAY}
-    for hold in (ReferenceHold.LINEAR, ReferenceHold.SMOOTH):
-        loop = replace(held.loop, hold=hold)
-        fit = fit_from(loop, held.values | later, held.segments, held.resolution, passes=2)
-        fits += [fit] if fit is not None else []
-    rows = sum(segment.angle.size for segment in held.segments)
+    half = 0.5 * float(np.mean([segment.record.sample_time for segment in start.segments]))
+    lead = {hold: half * (hold is not ReferenceHold.HELD) for hold in ReferenceHold}
+    fits = []
+    for hold in ReferenceHold:
+        loop, shift = replace(start.loop, hold=hold), lead[hold] - lead[start.loop.hold]
+        delays = {
+            key: min(max(value + shift, 0.0), MAX_DELAY)
+            for key, value in start.values.items()
+            if key[0] == DELAY and loop.servo.delay_of(key[1] or 1) is None
+        }
+        fit = start
+        if hold is not start.loop.hold:
+            values = start.values | delays
+            fit = fit_from(loop, values, start.segments, start.resolution, passes=2) or start
+        fits += [fit] if fit is not start or hold is start.loop.hold else []
+    rows = sum(segment.angle.size for segment in start.segments)
     most = min(fit.cost for fit in fits) + _PLAUSIBLE_COST * rows
     best, *rivals = [fit for fit in fits if fit.cost <= most]
     return best, np.array([rival.x - best.x for rival in rivals]).reshape(-1, len(best.x))
@@ -105,7 +137,10 @@ def choose_gear_effects(fit: ServoFit) -> tuple[ServoFit, FloatArray]:
     plain, effects, changes = fit, list[ServoFit](), list[FloatArray]()
     for i in plain.loop.numbers:
         for name in _tried_effects(plain.loop.arm, i):
-            loop, values = _with_gear(plain, i, name)
+            loop, values = _with_gears(plain, [i], _GEAR_HZ)
+            arm = loop.arm.with_joint(i, effects=(name.replace("_", "-"),))
+            loop = replace(loop, arm=Arm.of(arm), has_stiff_gears=True)
+            values |= {(name, i): _STARTS[name]}
             rival = fit_from(loop, values, plain.segments, plain.resolution, passes=2)
             if rival is None:
                 continue
@@ -116,8 +151,11 @@ def choose_gear_effects(fit: ServoFit) -> tuple[ServoFit, FloatArray]:
             if name == "load_friction":
                 changes += _changes(plain, rival, i)
     best = min(effects, key=lambda each: each.cost, default=plain)
-    if best.cost < plain.cost - _DECISIVE_COST:
-        return best, none
+    if best.cost < plain.cost - _DECISIVE_COST:  # others that explain a part are its rivals
+        others = [each for each in effects if each is not best and each.cost < plain.cost]
+        rivals = [_difference(plain.unknowns, best, each) for each in others]
+        best = replace(best, has_rival_effect=bool(rivals))
+        return best, np.array(rivals).reshape(-1, len(plain.x))
     return plain, np.array(changes).reshape(-1, len(plain.x))
 
 
@@ -136,26 +174,37 @@ def _tried_effects(arm: Arm, joint: JointNumber) -> Iterator[str]:
             yield name
 
 
-def _with_gear(fit: ServoFit, joint: JointNumber, effect: str) -> tuple[ServoLoop, Values]:
-    """The loop with a stiff gear in one joint, which has an effect, and its start."""
+def choose_stiffness(fit: ServoFit, joints: Sequence[JointNumber]) -> ServoFit | None:
+    """The fit with elastic gears in joints, from the resonance with the least residuals."""
+    rivals = []
+    for hz in _RESONANCES_HZ:
+        loop, values = _with_gears(fit, joints, hz)
+        rival = fit_from(loop, values, fit.segments, fit.resolution, passes=2)
+        rivals += [rival] if rival is not None else []
+    return min(rivals, key=lambda each: each.cost, default=None)
+
+
+def _with_gears(
+    fit: ServoFit, joints: Sequence[JointNumber], hz: float
+) -> tuple[ServoLoop, Values]:
+    """The loop with elastic gears of a resonance [Hz] in joints, and its start."""
     arm, values = fit.loop.arm, dict(fit.values)
-    effects = (effect.replace("_", "-"),)
-    geared = arm.with_joint(joint, spring="linear", effects=effects)
-    omega, share = 2.0 * np.pi * _GEAR_HZ, 0.5
-    ratio = float(arm.gear_ratios[joint - 1])
-    particular = arm.base.particular(np.full(arm.n_joints, share))
+    omega, n_links = 2.0 * np.pi * hz, len(arm.base.links)
+    particular = arm.base.particular(np.full(arm.n_joints, _MOTOR_SHARE))
     body = particular @ np.array([values[column.key] for column in arm.base.columns])
-    link = float(arm.link_inertias(body[: len(arm.base.links)])[joint - 1])
-    motor = float(body[len(arm.base.links) + joint - 1]) / ratio**2
-    reduced = link * motor / (link + motor) if motor > 0.0 else link
-    stiffness = reduced * omega**2
-    values |= {
-        (MOTOR_SHARE, joint): share,
-        (STIFFNESS, joint): stiffness,
-        (GEAR_DAMPING, joint): 2.0 * _GEAR_DAMPING_RATIO * stiffness / omega,
-        (effect, joint): _STARTS[effect],
-    }
-    return replace(fit.loop, arm=Arm.of(geared), has_stiff_gears=True), values
+    links = arm.link_inertias(body[:n_links])
+    motors = body[n_links:] / arm.gear_ratios**2
+    geared = arm
+    for joint in joints:
+        link, motor = float(links[joint - 1]), float(motors[joint - 1])
+        stiffness = (link * motor / (link + motor) if motor > 0.0 else link) * omega**2
+        values |= {
+            (MOTOR_SHARE, joint): _MOTOR_SHARE,
+            (STIFFNESS, joint): stiffness,
+            (GEAR_DAMPING, joint): 2.0 * _GEAR_DAMPING_RATIO * stiffness / omega,
+        }
+        geared = Arm.of(geared.with_joint(joint, spring="linear", effects=()))
+    return replace(fit.loop, arm=geared), values
 
 
 # sizes below which an effect is none: a tenth of a count of 12 bits, and of usual friction of teeth
@@ -163,9 +212,13 @@ _LEAST_SIZES = dict(zip(GEAR_EFFECTS, (1.5e-4, 5e-3), strict=True))
 _STARTS = dict(zip(GEAR_EFFECTS, (1e-3, 0.05), strict=True))  # [rad], 1
 
 
+def _difference(unknowns: Sequence[Unknown], fit: ServoFit, rival: ServoFit) -> FloatArray:
+    return np.array([rival.values[u.keys[0]] - fit.values[u.keys[0]] for u in unknowns])
+
+
 def _changes(plain: ServoFit, rival: ServoFit, joint: JointNumber) -> list[FloatArray]:
     """Change of the unknowns by a rival, and its wider deviation of Coulomb friction."""
-    change = np.array([rival.values[u.keys[0]] - plain.values[u.keys[0]] for u in plain.unknowns])
+    change = _difference(plain.unknowns, plain, rival)
     table = np.vstack([*(rows.jacobian for rows in rival.rows), rival.prior_rows()])
     norms = np.linalg.norm(table, axis=0)
     norms[norms == 0.0] = np.inf

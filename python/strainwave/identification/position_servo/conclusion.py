@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,19 +17,24 @@ from strainwave.domain import (
     Prediction,
     RigidModel,
 )
+from strainwave.domain.arm.base_parameters import MOTOR_INERTIA
+from strainwave.domain.arm.combinations import LINK_INERTIA
 from strainwave.domain.arm.description import unit_in
 from strainwave.domain.arm.parameter_table import COULOMB, OFFSET
-from strainwave.domain.keys import Key
+from strainwave.domain.keys import JointNumber, Key
 from strainwave.domain.results.distributions import CI95_STDS
 from strainwave.identification.position_servo.candidates import LIMIT_UNREACHED
 from strainwave.identification.position_servo.fit import ServoFit
 from strainwave.identification.position_servo.loop import (
     DELAY,
+    GEAR_DAMPING,
     GEAR_EFFECTS,
     KD,
     KP,
     LIMIT,
+    MOTOR_SHARE,
     SCALE,
+    STIFFNESS,
     VELOCITY_LAG,
     VISCOUS,
 )
@@ -49,6 +54,7 @@ _LEAST_DEVIATION = 0.002  # relative, of torques: as of the whole-arm fit, error
 # [s] between a reading and its torque: a delay in the loop acts as negative damping kp * delay
 _LOOP_TIMING = 5e-5
 _LAG_ERROR = 0.2  # periods of a servo: filters and resolution of its velocity
+_EFFECT_ERROR = 0.1  # relative, of backlash and load friction: the stiff gear stands for contacts
 _LOOSE = 1e-2  # weight of the prior share of kd where the data have to tell kd from friction
 _MIN_SINGULAR_VALUE = 1e-9  # relative; unknowns without effect get infinite standard deviations
 # relative half-width of kd and viscous friction, which differ in the held sample alone unless the
@@ -58,6 +64,7 @@ _MAX_EFFECT_MISFIT = 1.3  # beyond which an effect stands in for another
 _UNIFORM_HALF_WIDTH = 0.475  # of the 95 % interval, over the width of a uniform distribution
 _MAX_CHECK_ERROR = 0.1  # rms, over the motion: errors below are accepted whatever their cause
 
+_GEAR_UNITS = {STIFFNESS: "N m/rad", GEAR_DAMPING: "N m s/rad"}
 _PER_GAIN = {
     "kg m^2": "s^2",
     "kg m": "s^2/m",
@@ -116,10 +123,15 @@ class _Covariance:
             damping = index.get((KD, i), index[VISCOUS, i])
             timing[damping] = -fit.values[KP, i] * _LOOP_TIMING
             covariance += np.outer(timing, timing)
-            # other unknowns follow a change of the lag, whose law is not that of a real servo
-            lag = index[VELOCITY_LAG, i]
-            change = inverse[:, lag] / inverse[lag, lag] * scale[lag] / scale * _LAG_ERROR
-            covariance += np.outer(change, change)
+            # other unknowns follow changes of what no law describes exactly
+            errors = {
+                (name, i): _EFFECT_ERROR * fit.values.get((name, i), 0.0) for name in GEAR_EFFECTS
+            }
+            for key, error in ({(VELOCITY_LAG, i): _LAG_ERROR} | errors).items():
+                if key in index:
+                    k = index[key]
+                    change = inverse[:, k] / inverse[k, k] * scale[k] / scale * error
+                    covariance += np.outer(change, change)
         return covariance
 
 
@@ -132,6 +144,9 @@ def conclude(fit: ServoFit) -> tuple[tuple[Parameter, ...], tuple[Diagnostic, ..
         scaled = _in_torques(quantity, scale, fit) if of_torque else quantity
         per = "kp" if of_torque and scale is None else None
         name, joint = quantity.key
+        if name == VISCOUS and per is None:
+            back_emf = fit.loop.servo.back_emf_damping(joint or 1) or 0.0
+            scaled = replace(scaled, value=scaled.value - back_emf)
         matrix = covariance.loose if name in (KD, VISCOUS) else covariance.total
         variance = float(scaled.gradient @ matrix @ scaled.gradient)
         if of_torque and not (name == KP and scale is None):
@@ -175,19 +190,42 @@ def _quantities(fit: ServoFit) -> Iterator[_Quantity]:
         damping = "N m s/rad"
         both = unit((KD, i), (VISCOUS, i))
         yield _Quantity((DAMPING, i), kd + viscous, both, damping)
-        back_emf = servo.back_emf_damping(i) or 0.0
-        yield _Quantity((VISCOUS, i), viscous - back_emf, unit((VISCOUS, i)), damping)
+        yield _Quantity((VISCOUS, i), viscous, unit((VISCOUS, i)), damping)
         if (KD, i) in index:
             yield _Quantity((KD, i), kd, unit((KD, i)), damping)
         if servo.gain(i) is None:
             yield _Quantity((KP, i), values[KP, i], unit((KP, i)), "N m/rad")
         yield _Quantity((LIMIT, i), values[LIMIT, i], unit((LIMIT, i)), "N m")
+        for name, size_unit in _GEAR_UNITS.items():
+            if (name, i) in index:
+                yield _Quantity((name, i), values[name, i], unit((name, i)), size_unit)
+        if (MOTOR_SHARE, i) in index and not loop.has_stiff_gears:
+            yield from _separate_inertias(fit, index, i)
         for name in GEAR_EFFECTS:
             if (name, i) in index:
                 size = _Quantity((name, i), values[name, i], unit((name, i)), "1")
                 yield replace(size, unit=unit_in(loop.arm, size.key), is_torque=False)
         if (DELAY, i) in index:
             yield _Quantity((DELAY, i), values[DELAY, i], unit((DELAY, i)), "s", is_torque=False)
+
+
+def _separate_inertias(
+    fit: ServoFit, index: Mapping[Key, int], joint: JointNumber
+) -> Iterator[_Quantity]:
+    """Inertias of motor and link, which an elastic gear separates."""
+    loop, base = fit.loop, fit.loop.arm.base
+    inputs = loop.prepare(fit.values, fit.segments[0].record)
+    for key in ((MOTOR_INERTIA, joint), (LINK_INERTIA, joint)):
+        if key not in base.links and key[0] != MOTOR_INERTIA:
+            continue
+        value, gradient = 0.0, np.zeros(len(fit.unknowns))
+        for column in base.columns:
+            weight = (loop.row(column.key, inputs) or {}).get(key, 0.0)
+            value += weight * fit.values[column.key]
+            gradient[index[column.key]] = weight
+        share: Key = (MOTOR_SHARE, joint)
+        gradient[index[share]] = (loop.row(share, inputs) or {}).get(key, 0.0)
+        yield _Quantity(key, value, gradient, unit_in(loop.arm, key))
 
 
 def _scale(fit: ServoFit, covariance: _Covariance) -> tuple[float, FloatArray] | None:
@@ -230,11 +268,14 @@ def _in_torques(
 def _why_not(fit: ServoFit, key: Key, value: float, std: float, *, is_ratio: bool) -> str | None:
     """Variant of the warning of a parameter that the data do not determine; None if they do."""
     name, joint = key
+    back_emf = fit.loop.servo.back_emf_damping(joint or 1)
     reasons = {
         "scale": name == KP and is_ratio,
         "limit": name == LIMIT and not fit.saturated[(joint or 1) - 1],
-        "back-emf": name == VISCOUS and fit.loop.servo.back_emf_damping(joint or 1) is None,
-        "effect": name in GEAR_EFFECTS and fit.misfit > _MAX_EFFECT_MISFIT,
+        "back-emf": name == VISCOUS and back_emf != 0.0 and (back_emf is None or is_ratio),
+        "effect": name in GEAR_EFFECTS
+        and (fit.misfit > _MAX_EFFECT_MISFIT or fit.has_rival_effect),
+        "split": name in (KD, VISCOUS) and fit.has_rival_effect,
     }
     for reason, holds in reasons.items():
         if holds:
@@ -252,9 +293,13 @@ def _delay_error(fit: ServoFit, std: float) -> tuple[float, float]:
     Readings tell the delay of a held command up to the common period of log and servo.
     """
     half = CI95_STDS * std
-    if fit.loop.hold is ReferenceHold.HELD:
-        period = fit.loop.servo.period
-        width = max(common_period(period, s.record.sample_time) for s in fit.segments)
+    period = fit.loop.servo.period
+    width = max(common_period(period, s.record.sample_time) for s in fit.segments)
+    is_faster = all(s.record.sample_time <= 1.01 * period for s in fit.segments)
+    if fit.loop.hold is not ReferenceHold.HELD and is_faster:
+        # all readings of the servo meet samples of the log, held or not
+        std, half = float(np.hypot(std, width / np.sqrt(3.0))), float(np.hypot(half, width))
+    elif fit.loop.hold is ReferenceHold.HELD:
         std = float(np.hypot(std, width / np.sqrt(12.0)))
         half = float(np.hypot(half, _UNIFORM_HALF_WIDTH * width))
     return std, half

@@ -25,7 +25,7 @@ from strainwave.numerics.search import Linearised, minimise
 
 _STEP = 1e-3  # of differences, over the scale of an unknown
 _TOLERANCE, _RELATIVE_TOLERANCE = 0.1, 1e-5  # of the cost: a third of a standard deviation
-_MAX_EVALUATIONS = 15  # per pass; the weights change between passes
+_MAX_EVALUATIONS = 25  # per pass; the weights change between passes
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,6 +72,7 @@ class ServoFit:
     deviations: FloatArray  # (n_segments, n_joints) [rad] of the residuals
     resolution: float  # [rad] of the angles: the least deviation
     end: SearchEnd
+    has_rival_effect: bool = False  # another effect of a gear explains a part of the residuals too
     # (n_rivals, n_unknowns) changes with other courses of the commands that fit as well
     rival_changes: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
 
@@ -94,7 +95,7 @@ class ServoFit:
     @property
     def saturated(self) -> BoolArray:
         """Whether the output of each joint reaches its limit in any segment."""
-        return np.any([rows.saturated for rows in self.rows], axis=0)
+        return np.asarray(np.any([rows.saturated for rows in self.rows], axis=0))
 
     def as_guess(self) -> Guess:
         """Start of another fit of the same segments."""
@@ -160,7 +161,7 @@ class _Problem:
         values, loop = self.values(x), self.loop
         records = {id(s.record): s.record for s in self.segments}
         base = {k: loop.prepare(values, record) for k, record in records.items()}
-        changed: dict[int, dict[str, LoopInputs]] = {}
+        changed: dict[int, dict[int, LoopInputs]] = {}
         steps = {}
         for j, (unknown, value) in enumerate(zip(self.unknowns, x.tolist(), strict=True)):
             if loop.row(unknown.keys[0], next(iter(base.values()))) is None:
@@ -279,7 +280,7 @@ def fit_segments(
         )
         if minimum is None:
             return None
-        x = problem.at
+        x, end = problem.at, minimum.end
         states = tuple(
             state + rows.to_state[:, -1]
             for state, rows in zip(problem.states, problem.rows, strict=True)
@@ -299,5 +300,5 @@ def fit_segments(
         tuple(problem.rows),
         deviations,
         resolution,
-        minimum.end,
+        end,
     )
