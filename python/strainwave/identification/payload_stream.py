@@ -214,7 +214,7 @@ def _solve(rows: FloatArray, n_friction: int) -> _Solution:
     Friction comes first and has a prior, so that all of it is resolved.
     """
     n = rows.shape[1] - 1
-    R = np.linalg.qr(rows, mode="r")
+    _, R = np.linalg.qr(rows)
     U, s, Vt = singular_values(R[n_friction:n, n_friction:n])
     kept = s > _MIN_SINGULAR_VALUE * s[0]
     basis = np.eye(n, n_friction + int(kept.sum()))
