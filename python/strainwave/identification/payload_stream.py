@@ -118,7 +118,7 @@ class LoadStream:
             rows_per_block=self._rows_per_block,
             blocks=_BLOCKS,
             transmission=np.array(arm.transmission),
-            inverse=np.linalg.inv(arm.transmission),
+            inverse=np.asarray(np.linalg.inv(arm.transmission), dtype=np.float64),
             links=raw[:n_links].tolist(),
             motor_inertia=raw[n_links : n_links + arm.n_joints].tolist(),
             friction=np.ascontiguousarray(arm.joint_friction(prior.solution)),
