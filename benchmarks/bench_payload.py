@@ -58,7 +58,7 @@ def _stream() -> tuple[Arm, LoadStream, FloatArray, FloatArray]:
     at = _SAMPLE_TIME * np.arange(_SAMPLES)[:, None]
     rates = 2.0 * np.pi * (0.5 + 0.1 * np.arange(arm.n_joints))
     q: FloatArray = np.sin(rates * at)
-    dq: FloatArray = rates * np.cos(rates * at)
+    dq = np.asarray(rates * np.cos(rates * at), dtype=np.float64)
     ddq = np.asarray(-(rates**2) * q, dtype=np.float64)
     motion = [arm.motor_accelerations(x) for x in (q, dq, ddq)]
     values = {k: v for k, v in chain.values.items() if not k[0].startswith("gear_")}

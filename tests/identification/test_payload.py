@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 
+from strainwave.domain import FloatArray
 from strainwave.identification.payload import _shrunk
 
 
-def correlations(rows: np.ndarray) -> np.ndarray:
-    return np.corrcoef(rows, rowvar=False)
+def correlations(rows: FloatArray) -> FloatArray:
+    return np.asarray(np.corrcoef(rows, rowvar=False), dtype=np.float64)
 
 
 def test_correlations_by_chance_are_removed() -> None:
