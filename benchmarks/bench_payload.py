@@ -45,7 +45,8 @@ def _sample_times(
         begin = time.perf_counter()
         stream.update(q, tau)
         times.append(time.perf_counter() - begin)
-    return np.min(np.reshape(times, (-1, _ROWS_EVERY))[_SETTLED:], axis=0)
+    periods = np.array(times).reshape(-1, _ROWS_EVERY)[_SETTLED:]
+    return np.asarray(periods.min(axis=0))
 
 
 def _stream() -> tuple[Arm, LoadStream, FloatArray, FloatArray]:
@@ -56,10 +57,12 @@ def _stream() -> tuple[Arm, LoadStream, FloatArray, FloatArray]:
     arm = Arm.of(described.with_joints(joints))
     at = _SAMPLE_TIME * np.arange(_SAMPLES)[:, None]
     rates = 2.0 * np.pi * (0.5 + 0.1 * np.arange(arm.n_joints))
-    q, dq = np.sin(rates * at), rates * np.cos(rates * at)
-    motion = [arm.motor_accelerations(x) for x in (q, dq, -(rates**2) * q)]
+    q: FloatArray = np.sin(rates * at)
+    dq = np.asarray(rates * np.cos(rates * at), dtype=np.float64)
+    ddq = np.asarray(-(rates**2) * q, dtype=np.float64)
+    motion = [arm.motor_accelerations(x) for x in (q, dq, ddq)]
     values = {k: v for k, v in chain.values.items() if not k[0].startswith("gear_")}
-    torque = arm.inverse_dynamics(arm.parameter_vector(values), q, dq, -(rates**2) * q)
+    torque = arm.inverse_dynamics(arm.parameter_vector(values), q, dq, ddq)
     n = len(arm.rigid_columns)
     solution, covariance = np.ones(n), 1e-4 * np.eye(n)
     zeros, shares = np.zeros(arm.n_joints), np.full(arm.n_joints, 0.5)
@@ -137,4 +140,4 @@ class _NumPyStream:
         wide[:, 3 * n :] = filtered[:, -11:]
         of_arm = np.concatenate([filtered[:, :-15], np.diag(filtered[:, -15])], axis=1)
         self.products += wide[:, :-1].T @ of_arm
-        self.factor = np.linalg.qr(np.concatenate([self.factor, wide]), mode="r")
+        _, self.factor = np.linalg.qr(np.concatenate([self.factor, wide]))

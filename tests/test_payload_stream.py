@@ -10,7 +10,8 @@ import pytest
 
 import load_records as records
 import strainwave as sw
-from strainwave.domain import FloatArray, FrictionTerm, Parameter
+from strainwave.domain import Control, Experiment, FloatArray, FrictionTerm, Joint, Parameter, Study
+from strainwave.domain.arm.kinds import planar_two_link
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.rigid_prediction import DELAY
 from strainwave.errors import InvalidInput, NotIdentifiable
@@ -197,3 +198,35 @@ def test_standstill_is_no_information(known: KnownArm) -> None:
         stream.update([1.0, 2.0, 3.0], [0.5, 0.1, 0.1])
     with pytest.raises(NotIdentifiable, match="0 of 20 blocks"):
         stream.fit()
+
+
+def test_a_planar_arm_has_a_chain_for_the_load(tmp_path: Path) -> None:
+    """Its own program has sums of parameters; the load shows mass, centre and inertia in its plane."""
+    load = records.Load(0.7, (0.28, 0.04, 0.05), (1e-3, 1e-3, 4e-3))
+    described = planar_two_link([Joint("rigid", records.RATIO)] * 2, 0.35, 9.81)
+    links = ((4.0, (0.2, 0.0, 0.0)), (2.0, (0.15, 0.0, 0.0)))
+
+    def record_of(seed: int, carried: records.Load | None) -> Columns:
+        motion = records.Motion(seed)
+        return records.record(carried, motion, described=described, noise_seed=seed, links=links)
+
+    data = {f"r{k}": record_of(k, None) for k in (1, 2)}
+    control: tuple[Control, ...] = ("servo", "servo")
+    experiments = tuple(Experiment(name, "", "motion", control) for name in data)
+    study = Study(arm=described, experiments=experiments, path=tmp_path / "study.toml")
+    stream = sw.identify(study, data=data, stages="rigid").payload_stream(
+        sample_time=records.SAMPLE_TIME
+    )
+    columns = record_of(3, load)
+    for k in range(len(columns["t"])):
+        stream.update(
+            *([columns[f"{name}{i}"][k] for i in (1, 2)] for name in ("theta_m", "torque"))
+        )
+    estimate = stream.estimate
+    x, y, z = estimate.xyz
+    zz = estimate.inertia_about_centre[5]
+    for quantity, true in ((estimate.mass, 0.7), (x, 0.28), (y, 0.04), (zz, 4e-3)):
+        assert quantity is not None
+        assert abs(quantity.value - true) < 4.0 * quantity.std
+    assert z is None
+    assert estimate.inertia_about_centre[:5] == (None,) * 5

@@ -268,8 +268,8 @@ def tabulate(results: Sequence[dict[str, Any]], key: str) -> list[Table]:
                 f"{np.sqrt(np.mean((error / std) ** 2)):.2f}",
                 units.get(name, f"{median:.2g} kg m^2"),
             )
-    heads = ("arm", "arms", "mass within", "centre within", "inside", "rms error/std", "median CPU")
-    by_kind = Table(*heads, box=None)
+    of_kinds = ("mass within", "centre within", "inside", "rms error/std", "median CPU")
+    by_kind = Table("arm", "arms", *of_kinds, box=None)
     for kind in (*KINDS, ""):
         group = [r for r in done if kind in ("", r["kind"])]
         every = [(name, row) for r in group for name, row in r[key].items()]

@@ -118,7 +118,7 @@ class LoadStream:
             rows_per_block=self._rows_per_block,
             blocks=_BLOCKS,
             transmission=np.array(arm.transmission),
-            inverse=np.linalg.inv(arm.transmission),
+            inverse=np.asarray(np.linalg.inv(arm.transmission), dtype=np.float64),
             links=raw[:n_links].tolist(),
             motor_inertia=raw[n_links : n_links + arm.n_joints].tolist(),
             friction=np.ascontiguousarray(arm.joint_friction(prior.solution)),
@@ -214,7 +214,7 @@ def _solve(rows: FloatArray, n_friction: int) -> _Solution:
     Friction comes first and has a prior, so that all of it is resolved.
     """
     n = rows.shape[1] - 1
-    R = np.linalg.qr(rows, mode="r")
+    _, R = np.linalg.qr(rows)
     U, s, Vt = singular_values(R[n_friction:n, n_friction:n])
     kept = s > _MIN_SINGULAR_VALUE * s[0]
     basis = np.eye(n, n_friction + int(kept.sum()))

@@ -133,9 +133,10 @@ pub struct LoadStream {
     joints: usize,
     /// Torques behind the current loops.
     currents: Vec<f64>,
-    gears: Vec<f64>,
     /// Motor angles and torques, the newest first.
     history: VecDeque<Vec<f64>>,
+    /// Of motor angles and torques, for the torsion of elastic gears.
+    drives: LowPass,
     /// Of motor angles, torques, link angles.
     motion: LowPass,
     /// Of the columns of all rows.
@@ -151,6 +152,27 @@ impl Settings {
     /// Columns of a row: links, motor, shared, friction, load, torque, and whether it may stick.
     fn width(&self) -> usize {
         self.links.len() + 1 + self.shared.len() + FRICTION + BODY + 2
+    }
+
+    /// Direction of the friction of a joint.
+    fn direction(&self, i: usize, velocity: f64) -> f64 {
+        (velocity / self.slow[i]).clamp(-1.0, 1.0)
+    }
+
+    /// Torque that the gear of joint i carries, at the motor, and its further friction.
+    fn carried(&self, i: usize, torque: f64, velocity: f64, acceleration: f64) -> (f64, f64) {
+        let [viscous, coulomb, offset] = [0, 1, 2].map(|k| self.friction[FRICTION * i + k]);
+        let direction = self.direction(i, velocity);
+        let friction = viscous * velocity + coulomb * direction + offset;
+        let net = torque - friction - self.motor_inertia[i] * acceleration;
+        let per_load = |load: f64| -> f64 {
+            let own = self.terms.iter().filter(|term| term.joint == i);
+            own.map(|term| term.size * term.law.per_size(velocity, load, term.shape))
+                .sum()
+        };
+        // the gear carries the load of the arm too, and friction grows with it
+        let further = direction * per_load(net - direction * per_load(net));
+        (net - further, further)
     }
 }
 
@@ -169,8 +191,8 @@ impl LoadStream {
         Self {
             joints,
             currents: vec![0.0; joints],
-            gears: vec![0.0; joints],
             history: VecDeque::new(),
+            drives: LowPass::new(settings.motion_poles, settings.sample_time, 2 * joints),
             motion: LowPass::new(settings.motion_poles, settings.sample_time, 3 * joints),
             equations: LowPass::new(poles, settings.sample_time, wide),
             columns: vec![0.0; wide],
@@ -216,11 +238,7 @@ impl LoadStream {
             self.currents[i] = torque + decay * (signals[n + i] - torque);
         }
         self.align(&mut signals[..2 * n]);
-        for i in 0..n {
-            let ratios = &self.settings.transmission[i * n..(i + 1) * n];
-            signals[2 * n + i] = dot(ratios, &signals[..n]);
-            signals[2 * n + i] -= self.settings.compliance[i] * self.gears[i];
-        }
+        self.add_links(&mut signals);
         self.motion.pass(&signals);
         self.fill_columns(arm, chain);
         self.equations.pass(&self.columns);
@@ -241,6 +259,29 @@ impl LoadStream {
         filled
             .map(|block| (&block.factor[..], &block.products[..]))
             .collect()
+    }
+
+    /// Adds the link angles to motor angles and torques, behind gears that are twisted.
+    ///
+    /// The torques of the gears are those of filtered signals; angles and torques have the same delay.
+    fn add_links(&mut self, signals: &mut [f64]) {
+        let (n, settings) = (self.joints, &self.settings);
+        let mut gears = vec![0.0; n];
+        if settings.compliance.iter().any(|x| *x != 0.0) {
+            self.drives.pass(&signals[..2 * n]);
+            let [drives, velocity, acceleration] = self.drives.derivatives();
+            for i in 0..n {
+                let (net, _) = settings.carried(i, drives[n + i], velocity[i], acceleration[i]);
+                for (j, gear) in gears.iter_mut().enumerate() {
+                    *gear += net * settings.inverse[i * n + j];
+                }
+            }
+            signals[..2 * n].copy_from_slice(drives);
+        }
+        for i in 0..n {
+            let ratios = &settings.transmission[i * n..(i + 1) * n];
+            signals[2 * n + i] = dot(ratios, &signals[..n]) - settings.compliance[i] * gears[i];
+        }
     }
 
     /// Replaces angles and torques by those of the latest common time.
@@ -286,7 +327,6 @@ impl LoadStream {
             settings.shared.len(),
             settings.width(),
         );
-        let mut net = vec![0.0; n];
         let (friction, load_at) = (links + 1 + shared, links + 1 + shared + FRICTION);
         for i in 0..n {
             let row = &mut self.columns[i * width..(i + 1) * width];
@@ -303,24 +343,14 @@ impl LoadStream {
                     }
                 }
             }
-            let direction = (velocity[i] / settings.slow[i]).clamp(-1.0, 1.0);
+            let direction = settings.direction(i, velocity[i]);
             row[links] = acceleration[i];
             for (k, (link, _)) in settings.shared.iter().enumerate() {
                 row[links + 1 + k] = settings.transmission[link * n + i] * dq[*link];
             }
             row[friction..friction + FRICTION].copy_from_slice(&[velocity[i], direction, 1.0]);
-            let [viscous, coulomb, offset] = [0, 1, 2].map(|k| settings.friction[3 * i + k]);
             let rotor = settings.motor_inertia[i] * acceleration[i];
-            let of_model = viscous * velocity[i] + coulomb * direction + offset;
-            // the gear carries the load on the arm too, and friction grows with it
-            net[i] = torque[i] - of_model - rotor;
-            let further = |carried: f64| -> f64 {
-                let own = settings.terms.iter().filter(|term| term.joint == i);
-                own.map(|term| term.size * term.law.per_size(velocity[i], carried, term.shape))
-                    .sum()
-            };
-            let further = direction * further(net[i] - direction * further(net[i]));
-            net[i] -= further;
+            let (_, further) = settings.carried(i, torque[i], velocity[i], acceleration[i]);
             let springs: f64 = settings
                 .terms
                 .iter()
@@ -332,9 +362,6 @@ impl LoadStream {
             let known = dot(&row[..links], &settings.links) + rotor + springs + shared_friction;
             row[width - 2] = torque[i] - known - further;
             row[width - 1] = f64::from(velocity[i].abs() < settings.slow[i]);
-        }
-        for (j, gear) in self.gears.iter_mut().enumerate() {
-            *gear = (0..n).map(|i| net[i] * settings.inverse[i * n + j]).sum();
         }
     }
 
