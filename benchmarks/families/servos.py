@@ -17,6 +17,7 @@ from typing import Any, Literal
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from benchmarks.families.rigs import between
 from strainwave.domain import FloatArray
@@ -306,7 +307,8 @@ def _servo_lines(rig: ServoRig) -> list[str]:
 
 def _goals(rig: ServoRig, rng: np.random.Generator) -> dict[str, FloatArray]:
     """Goals of the records: (n_samples, n_joints) each."""
-    time = rig.sample_time * np.arange(round(_DURATION / rig.sample_time))
+    n = round(_DURATION / rig.sample_time)
+    time: FloatArray = rig.sample_time * np.arange(n, dtype=np.float64)
     joints = range(len(rig.links))
     if rig.motion == "rich":
         multisine = np.column_stack([_multisine(rig, i, time, rng) for i in joints])
@@ -323,7 +325,7 @@ def _goals(rig: ServoRig, rng: np.random.Generator) -> dict[str, FloatArray]:
     return goals
 
 
-def _waves(time: FloatArray, lines: FloatArray, rng: np.random.Generator) -> FloatArray:
+def _waves(time: FloatArray, lines: NDArray[Any], rng: np.random.Generator) -> FloatArray:
     """Sines of whole periods in a record, of peak 1."""
     phases = rng.uniform(0.0, 2.0 * np.pi, len(lines))
     waves = np.sin(2.0 * np.pi / _DURATION * np.outer(time, lines) + phases).sum(axis=1)
@@ -344,7 +346,7 @@ def _multisine(rig: ServoRig, i: int, time: FloatArray, rng: np.random.Generator
     servo = drive.kp * late * (1.0 - (drive.kp + 1j * omega * drive.kd) / closed)
     torques = [np.abs(np.fft.irfft(np.fft.rfft(x) * servo, len(time))).max() for x in (slow, fast)]
     room = _PEAK_TORQUE * drive.limit - weight - torques[0]
-    return slow + min(max(room, 0.1 * weight) / torques[1], 0.3) * fast
+    return np.asarray(slow + min(max(room, 0.1 * weight) / torques[1], 0.3) * fast)
 
 
 def _chirp(rig: ServoRig, time: FloatArray, rng: np.random.Generator) -> FloatArray:

@@ -18,7 +18,7 @@ import subprocess
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -193,12 +193,11 @@ def tabulate(rows: Sequence[dict[str, Any]]) -> list[Table]:
         _add(parameters, name, [p for p in all_values if p["name"] == name])
     _add(parameters, "all", all_values)
     classes = Table("class", "servos", "verdicts", "inside", "rms", "wrong", "no scale", box=None)
-    groups: list[tuple[str, Callable[[dict[str, Any]], bool]]] = [("all", lambda row: True)]
+    groups = {"all": list(rows)}
     for head in heads[1:6]:
         for value in sorted({row[head] for row in rows}):
-            groups.append((f"{head} {value}", lambda row, h=head, v=value: row[h] == v))
-    for name, belongs in groups:
-        group = [row for row in rows if belongs(row)]
+            groups[f"{head} {value}"] = [row for row in rows if row[head] == value]
+    for name, group in groups.items():
         values = [p for row in group for p in row.get("parameters", [])]
         verdicts = Counter(row.get("status", "no result") for row in group)
         classes.add_row(
