@@ -28,7 +28,8 @@ from strainwave.domain.arm.combinations import (
     shared_viscous_friction,
 )
 from strainwave.domain.arm.effects import OF_RIGID_JOINTS, effect_named
-from strainwave.domain.arm.kinds import RigidColumn
+from strainwave.domain.arm.kinds import RigidColumn, kind_of
+from strainwave.domain.arm.kinds.base import LINK_PARAMETERS
 from strainwave.domain.arm.link_sensors import low_passes
 from strainwave.domain.arm.parameter_table import family_of
 from strainwave.domain.arm.parameters import complete_values
@@ -236,7 +237,12 @@ class Arm(ArmDescription):
         """Parameters of the links that a payload adds: (n_base,); zero without one."""
         vector = np.zeros(len(self.base_names))
         if payload is not None:
-            vector[-len(payload.parameters) :] = payload.parameters
+            names = ((f"link_{name}", self.n_joints) for name in LINK_PARAMETERS)
+            carried = dict(zip(names, payload.parameters, strict=True))
+            rows = kind_of(self).standard_rows(self) if self.has_planar_program else {}
+            for k, key in enumerate(self.base_names):
+                row = rows.get(key, {key: 1.0})
+                vector[k] = sum(weight * carried.get(part, 0.0) for part, weight in row.items())
         return vector
 
     def payload_torques(

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -110,7 +111,7 @@ def simulate(
 
 def simulate_arms(
     arm: Arm,
-    arms: Sequence[Values],
+    arms: Sequence[Values | FloatArray],
     drive: Drive,
     *,
     sample_time: float,
@@ -120,10 +121,10 @@ def simulate_arms(
 ) -> dict[Quantity, FloatArray]:
     """Simulate one experiment on many arms, in parallel vector lanes and threads.
 
-    Arguments and errors are those of `simulate`. Arrays of the result have shape (n_arms,
-    n_samples, n_joints).
+    Arguments and errors are those of `simulate`; values may be parameter vectors of the arm. Arrays
+    of the result have shape (n_arms, n_samples, n_joints).
     """
-    vectors = np.array([arm.parameter_vector(values) for values in arms])
+    vectors = np.array([_vector(arm, values) for values in arms])
     experiment = _experiment(arm, drive, (sample_time, samples), record, max_time_step)
     with core_errors():
         raise_if_stopped()
@@ -131,9 +132,13 @@ def simulate_arms(
     return {name: recorded[name] for name in record}
 
 
+def _vector(arm: Arm, values: Values | FloatArray) -> FloatArray:
+    return values if isinstance(values, np.ndarray) else arm.parameter_vector(values)
+
+
 def sensitivities(
     arm: Arm,
-    values: Values,
+    values: Values | FloatArray,
     drive: Drive,
     directions: Sequence[Key],
     *,
@@ -153,7 +158,7 @@ def sensitivities(
     `LINK_SIGNALS` in the quantities such as `imu_ax`. Other arguments and errors are those of
     `simulate_arms`.
     """
-    vector = arm.parameter_vector(values)
+    vector = _vector(arm, values)
     experiment = _experiment(arm, drive, (sample_time, samples), record, max_time_step, sums)
     with core_errors():
         raise_if_stopped()
@@ -213,6 +218,7 @@ def _experiment(
         )
 
 
+@lru_cache(maxsize=64)  # a fit simulates many short experiments with few servos
 def _servo_arguments(servo: Servo | LinearServo, active: tuple[bool, ...]) -> tuple[Any, ...]:
     if isinstance(servo, Servo):
         return servo.kp, servo.ki, servo.limit, active, servo.position_gain

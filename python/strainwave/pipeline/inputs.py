@@ -84,7 +84,7 @@ def with_sensed_torques(study: Study, logs: Sequence[Log]) -> tuple[Study, tuple
                 remedy=f"remove torque{lacking[0]} from [channels] to use the sensor of all logs, "
                 "or remove this log",
             )
-    if not sensed or not logs:
+    if not sensed or not logs or study.arm.position_servo is not None:
         return study, tuple(logs)
     if arm.is_coupled and len(sensed) < arm.n_joints:
         raise InvalidInput(

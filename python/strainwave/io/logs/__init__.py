@@ -53,6 +53,7 @@ __all__ = ["read_log", "read_logs", "read_segments", "write_log"]
 write_log = write_table
 
 _MAX_REST_RANGE = 0.01  # [rad] range of the angle of a motor that stands still, with its noise
+_SAME_ANGLE = 1e-9  # [rad] between two columns that are one signal
 
 
 def read_logs(
@@ -340,6 +341,12 @@ def _check_inputs(
 
     A sensor behind the gear suffices for rigid joints, and for slow motion of elastic ones.
     """
+    if study.arm.position_servo is not None:
+        for i in range(1, study.arm.n_joints + 1):
+            if f"ref{i}" not in sources:
+                what = "the commanded angle that every log of a position servo must contain"
+                raise table.missing_column_error(f"ref{i}", what)
+        return
     is_slow = experiment.use in ("motion", "check")
     is_rigid = not any(joint.elastic for joint in study.arm.joints)
     for i, joint in enumerate(study.arm.joints, start=1):
@@ -397,11 +404,12 @@ def _check_constants(
                 f"{remedy}"
             )
         raise InvalidInput(problem, where=str(path), remedy=remedy)
+    kinds = ("u", "torque", "tau_l")
+    if study.arm.position_servo is not None:
+        kinds = ("ref",)
+        _check_commands(channels, study, path)
     inputs = [
-        channels[name]
-        for i in joints
-        for name in (f"u{i}", f"torque{i}", f"tau_l{i}")
-        if name in channels
+        channels[f"{kind}{i}"] for i in joints for kind in kinds if f"{kind}{i}" in channels
     ]
     if all(np.ptp(values) == 0.0 for values in inputs):
         raise InvalidInput(
@@ -414,6 +422,20 @@ def _check_constants(
         for name, values in channels.items()
         if np.ptp(values) == 0.0 and _has_failed(name, channels)
     ]
+
+
+def _check_commands(channels: dict[str, FloatArray], study: Study, path: Path) -> None:
+    """Raise InvalidInput if a commanded angle never differs from the measured one."""
+    for i, joint in enumerate(study.arm.joints, start=1):
+        command, angle = channels[f"ref{i}"], joint.gear_ratio * channels[f"theta_m{i}"]
+        if np.ptp(command) > 0.0 and np.allclose(command, angle, rtol=0.0, atol=_SAME_ANGLE):
+            raise InvalidInput(
+                f"the command 'ref{i}' never differs from the position 'theta_m{i}', so that the "
+                "log does not show what the servo does",
+                where=str(path),
+                remedy="map the goal that is sent to the servo; some drivers report the present "
+                "position under both names",
+            )
 
 
 def _has_failed(name: str, channels: dict[str, FloatArray]) -> bool:
