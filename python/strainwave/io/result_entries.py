@@ -71,7 +71,7 @@ Fits = Mapping[str, float | None]  # by channel
 Label = Annotated[
     Key, BeforeValidator(_key_of), WrapSerializer(lambda key, _: label_of(*key), return_type=str)
 ]
-ParameterEntry = Annotated[Parameter, _omitting(model_std=None)]
+ParameterEntry = Annotated[Parameter, _omitting(model_std=None, per=None)]
 Warned = Annotated[PublishedWarning, BeforeValidator(_published), _omitting(experiments=[])]
 
 
@@ -269,7 +269,7 @@ class RigidEntry(Entry):
     bandwidth_hz: float
     decimation: int
     n_rows: int
-    friction_terms: tuple[Annotated[FrictionEntry, _omitting(model_std=None)], ...] = ()
+    friction_terms: tuple[Annotated[FrictionEntry, _omitting(model_std=None, per=None)], ...] = ()
     torque_ratio: TorqueRatio | None = None
     torque_ratios: tuple[TorqueRatio, ...] = ()
     torque_errors: tuple[JointValue, ...] = ()
@@ -404,7 +404,7 @@ class EstimatesEntry(Entry):
     """Parameters, and those of serial arms under their names in the literature."""
 
     parameters: tuple[ParameterEntry, ...]
-    base_parameters: tuple[Annotated[BaseParameterEntry, _omitting(model_std=None)], ...]
+    base_parameters: tuple[Annotated[BaseParameterEntry, _omitting(model_std=None, per=None)], ...]
 
 
 class ResultEntry(EstimatesEntry):

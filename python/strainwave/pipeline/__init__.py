@@ -50,6 +50,7 @@ from strainwave.pipeline.inputs import (
     read_records,
     read_start,
 )
+from strainwave.pipeline.position_servos import fit_servos
 from strainwave.pipeline.rigid_joints import estimate_drives, fit_rigid_joints
 from strainwave.report.matplotlib_backend import images
 from strainwave.signals.motor import activity_of
@@ -125,10 +126,13 @@ def _identify(
     has_scale = not results.failures
     if not has_scale:  # without the scale of the torques, no relation holds
         consistency = Consistency()
+    elif study.arm.position_servo is not None:
+        results = attempt(partial(fit_servos, inputs, results, reporter), results.fail)
     elif consistency.motors_agree:  # the rigid model does not use link sensors
         results = attempt(partial(fit_rigid_joints, inputs, results, reporter, gains), results.fail)
         consistency = _compare_torque_constants(consistency, results)
-    if "decoupled" in stages and has_scale and any(joint.elastic for joint in inputs.arm.joints):
+    is_fitted = study.arm.position_servo is None and has_scale
+    if "decoupled" in stages and is_fitted and any(joint.elastic for joint in inputs.arm.joints):
         fit = partial(attempt, partial(fit_elastic_arm, inputs, results, reporter), results.fail)
         suspicion = find_doubtful_torque_constant(consistency)
         if is_consistent and suspicion is not None:  # the rigid fit alone doubts the constant
@@ -143,7 +147,7 @@ def _identify(
         stage_warnings=tuple(dict.fromkeys(results.stage_warnings)),
         sweeps=sweep.compare_amplitudes(results.records),
         suspected=consistency.suspected,
-        activity=activity_of(inputs.logs, inputs.arm),
+        activity=results.activity or activity_of(inputs.logs, inputs.arm),
     )
     return Identification(
         **{each.name: getattr(results, each.name) for each in fields(results)},

@@ -166,7 +166,9 @@ def check_inputs(
             remedy="correct the sensor or its cable, and record again",
         )
     warnings = (*(warning for log in raw_logs for warning in log.warnings), *warnings)
-    agreement = input_check.check_consistency(usable, study)
+    agreement = Consistency()  # no relation of a position servo holds for all parameter values
+    if study.arm.position_servo is None:
+        agreement = input_check.check_consistency(usable, study)
     agreement = agreement.suspecting(accept=study.options.accept)
     agreement = replace(agreement, warnings=(*warnings, *agreement.warnings))
     return Inputs(study, arm, usable, stages), agreement

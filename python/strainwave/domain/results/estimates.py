@@ -125,6 +125,7 @@ class Parameter(Keyed):
     stage: Stage
     ci95: tuple[float, float] | None = None
     model_std: float | None = None  # part of `std` that comes from the choice of the model
+    per: str | None = None  # "kp": the value is over the gain of the joint's servo
 
     @classmethod
     def estimated(

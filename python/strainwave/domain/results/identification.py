@@ -136,7 +136,7 @@ def _requirements(results: StageResults) -> tuple[list[Stage], list[Key]]:
     keys: list[Key] = []
     if stages:
         keys += [column.key for column in base.columns]
-    viscous = viscous_friction(arm)
+    viscous = viscous_friction(arm) if arm.position_servo is None else "servo_damping"
     for number, joint in enumerate(arm.joints, start=1):
         if not joint.torque_at_link:  # a sensor behind the gear does not show the friction
             keys += [(viscous, number), ("motor_coulomb_friction", number)]
@@ -235,9 +235,10 @@ The residual must also be far above the sensor noise.
 def _validate_models(results: StageResults) -> Validation:
     """Check whether validation records excite each model and the model predicts them."""
     effects = [effect for effect, _, _ in stiffness_effects(results).values()]
-    drives = [check for check in results.checks if check.of_drive]
+    has_servo = results.study.arm.position_servo is not None
+    drives = [check for check in results.checks if check.of_drive or has_servo]
     has_motion = any(math.isfinite(fit) for check in drives for fit in check.fit_percent.values())
-    is_missed = any(check.of_drive and check.unexplained for check in _decisive_checks(results))
+    is_missed = any(check in drives and check.unexplained for check in _decisive_checks(results))
     return Validation(
         rigid=has_motion and not is_missed,
         elastic=min(effects, default=0.0) >= MIN_STIFFNESS_EFFECT

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 
@@ -44,7 +43,7 @@ from strainwave.identification.position_servo.records import (
     servo_record,
 )
 from strainwave.identification.position_servo.start import linear_starts
-from strainwave.numerics.parallel import run_parallel
+from strainwave.identification.position_servo.states import deviations, initial_state
 
 _MAX_STARTS = 3  # delays from which the fit is tried
 _COARSE = 3  # one in so many segments takes part in the search of starts
@@ -52,6 +51,7 @@ _LIMITS = np.geomspace(0.1, 1.6, 16)  # of a torque limit, over the largest torq
 _LIMIT_UNREACHED = 3.0  # factor on the largest torque, beyond which a limit has no effect
 _MIN_COUNTS = 8  # of the encoder, that a motion must cover
 _DEFAULT_COUNTS = 4096.0  # per turn, of an encoder whose resolution is not given
+_PLAUSIBLE_COST = 20.0  # of another course of commands: likelihood ratio of e^-5, errors correlate
 _KD_SHARE_STD = 0.29  # of a uniform distribution on [0, 1]
 _LAG, _LAG_STD = 0.5, 0.5  # of a servo's velocity: from that at the reading to two periods
 
@@ -80,17 +80,20 @@ def fit_position_servos(logs: Sequence[Log], arm: Arm) -> ServoFit:
             "commanded and measured angles, and gear_ratio"
         )
     best = min(fits, key=lambda fit: fit.cost)
-    best = _best_limits(best, floor)
-    holds = [best]
+    held = _best_limits(best, floor)
+    holds = [held]
     for hold in (ReferenceHold.LINEAR, ReferenceHold.SMOOTH):
-        fit = _fit(replace(loop, hold=hold), _delayed(best), floor, passes=2)
+        fit = _fit(replace(loop, hold=hold), _delayed(held), floor, passes=2)
         holds += [fit] if fit is not None else []
-    best = min(holds, key=lambda fit: fit.cost)
+    least = min(fit.cost for fit in holds)
+    plausible = [fit for fit in holds if fit.cost < least + _PLAUSIBLE_COST]
+    best = plausible[0]  # logs usually hold the commands as they were sent
     guess = _guess(best.loop, best.values, segments, floor)
     final = _fit(best.loop, guess, floor, passes=3)
     if final is None:
         raise NumericalFailure("the simulation of the servos diverges in some segment")
-    return final
+    changes = [rival.x - best.x for rival in plausible[1:] if len(rival.x) == len(best.x)]
+    return replace(final, rival_changes=np.array(changes).reshape(-1, len(final.x)))
 
 
 def _fit(loop: ServoLoop, guess: Guess, floor: float, *, passes: int) -> ServoFit | None:
@@ -120,37 +123,9 @@ def _check_motion(
 
 def _guess(loop: ServoLoop, values: Values, segments: Sequence[Segment], floor: float) -> Guess:
     """Start at values, with states from the measured angles and the residuals from there."""
-    states = tuple(_initial_state(loop, segment) for segment in segments)
-    deviations = np.maximum(_deviations(loop, values, segments, states), floor)
-    return Guess(values, tuple(segments), states, deviations)
-
-
-def _initial_state(loop: ServoLoop, segment: Segment) -> FloatArray:
-    """Angles and velocities at the last reading before a segment, of parabolas through samples."""
-    record, first = segment.record, segment.first
-    half = max(3, int(0.01 / record.sample_time))
-    around = slice(max(first - half, 0), first + half + 1)
-    time = record.time[around] - loop.first_tick(segment) * loop.servo.period
-    parabola = np.polyfit(time, record.angle[around], 2)
-    return np.concatenate([parabola[2], parabola[1]])
-
-
-def _deviations(
-    loop: ServoLoop, values: Values, segments: Sequence[Segment], states: Sequence[FloatArray]
-) -> FloatArray:
-    """Residuals (n_segments, n_joints) [rad] without what the initial states explain."""
-    inputs = {id(s.record): loop.prepare(values, s.record) for s in segments}
-
-    def deviation(segment: Segment, state: FloatArray) -> FloatArray:
-        run = loop.simulate(inputs[id(segment.record)], segment, state, derive=True)
-        residual = run.angle - segment.angle
-        of_state = run.derivatives[..., -loop.n_states :].reshape(residual.size, -1)
-        explained = of_state @ np.linalg.lstsq(of_state, residual.ravel(), rcond=1e-4)[0]
-        rest = residual - explained.reshape(residual.shape)
-        return np.asarray(np.sqrt(np.mean(rest**2, axis=0)))
-
-    pairs = zip(segments, states, strict=True)
-    return np.array(run_parallel([partial(deviation, *pair) for pair in pairs]))
+    states = tuple(initial_state(loop, segment) for segment in segments)
+    sizes = np.maximum(deviations(loop, values, segments, states), floor)
+    return Guess(values, tuple(segments), states, sizes)
 
 
 def _best_limits(fit: ServoFit, floor: float) -> ServoFit:
@@ -160,13 +135,11 @@ def _best_limits(fit: ServoFit, floor: float) -> ServoFit:
     """
     loop, values = fit.loop, fit.values
     for i in loop.numbers:
-        if loop.servo.torque_limit(i) is not None and SCALE not in values:
-            pass
         costs = {}
         for factor in _LIMITS.tolist():
             limit = factor * values[LIMIT, i]
-            deviations = _deviations(loop, values | {(LIMIT, i): limit}, fit.segments, fit.states)
-            costs[limit] = float(np.sum(np.log(np.maximum(deviations, floor))))
+            sizes = deviations(loop, values | {(LIMIT, i): limit}, fit.segments, fit.states)
+            costs[limit] = float(np.sum(np.log(np.maximum(sizes, floor))))
         values = values | {(LIMIT, i): min(costs, key=costs.__getitem__)}
     better = _fit(loop, _guess(loop, values, fit.segments, floor), floor, passes=2)
     return better if better is not None and better.cost < fit.cost else fit

@@ -18,13 +18,13 @@ from strainwave.domain.keys import Key, Values
 from strainwave.errors import InvalidInput, NumericalFailure
 from strainwave.identification.position_servo.loop import LoopInputs, ServoLoop
 from strainwave.identification.position_servo.records import Segment
+from strainwave.identification.position_servo.states import MIN_STATE_EFFECT
 from strainwave.numerics.linalg import triangular_factor
 from strainwave.numerics.parallel import run_parallel
 from strainwave.numerics.search import Linearised, minimise
 
 _STEP = 1e-3  # of differences, over the scale of an unknown
 _TOLERANCE, _RELATIVE_TOLERANCE = 0.1, 1e-5  # of the cost: a third of a standard deviation
-_MIN_STATE_EFFECT = 1e-4  # relative; friction holds the joint in a state without effect
 _MAX_EVALUATIONS = 15  # per pass; the weights change between passes
 
 
@@ -70,7 +70,10 @@ class ServoFit:
     states: tuple[FloatArray, ...]  # (n_states,) each
     rows: tuple[SegmentRows, ...]
     deviations: FloatArray  # (n_segments, n_joints) [rad] of the residuals
+    resolution: float  # [rad] of the angles: the least deviation
     end: SearchEnd
+    # (n_rivals, n_unknowns) changes with other courses of the commands that fit as well
+    rival_changes: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
 
     @property
     def cost(self) -> float:
@@ -82,6 +85,11 @@ class ServoFit:
     def x(self) -> FloatArray:
         """Values of the unknowns."""
         return np.array([self.values[unknown.keys[0]] for unknown in self.unknowns])
+
+    @property
+    def misfit(self) -> float:
+        """Median ratio of the residuals to the resolution of the angles; 1 or more."""
+        return float(max(np.median(self.deviations) / self.resolution, 1.0))
 
     @property
     def saturated(self) -> BoolArray:
@@ -200,7 +208,7 @@ class _Problem:
         right = np.hstack([stacked.reshape(len(residual), -1), residual])
         Q, R = np.linalg.qr(of_state)
         onto = Q.T @ right
-        to_state = -np.linalg.lstsq(R, onto, rcond=_MIN_STATE_EFFECT)[0]
+        to_state = -np.linalg.lstsq(R, onto, rcond=MIN_STATE_EFFECT)[0]
         right = right - Q @ onto
         return SegmentRows(right[:, -1], right[:, :-1], to_state, run.saturated)
 
@@ -290,5 +298,6 @@ def fit_segments(
         states,
         tuple(problem.rows),
         deviations,
+        resolution,
         minimum.end,
     )

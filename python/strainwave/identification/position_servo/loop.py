@@ -26,6 +26,7 @@ from strainwave.identification.position_servo.records import (
     ReferenceHold,
     Segment,
     ServoRecord,
+    common_period,
 )
 
 KP = "servo_kp"
@@ -125,11 +126,12 @@ class ServoLoop:
         )
         ticks = period * np.arange(int(record.time[-1] / period + 1e-6) + 2)
         output = np.empty((len(ticks), self.arm.n_joints))
+        width = common_period(period, record.sample_time)
         for i in range(self.arm.n_joints):
             late = ticks - values[DELAY, i + 1]
-            output[:, i] = values[KP, i + 1] * record.commands(late, i, self.hold, period)
+            output[:, i] = values[KP, i + 1] * record.commands(late, i, self.hold, width)
             if record.feed_forward[:, i].any():
-                ahead = record.feed_forwards(late, i, period)
+                ahead = record.feed_forwards(late, i, width)
                 output[:, i] += (self.servo.torque_per_output(i + 1) or 1.0) * ahead
         vector = plant.parameter_vector(self._core_values(values, record))
         servo = LinearServo(tuple(self._law(values, i) for i in self.numbers), period, 1.0)

@@ -22,6 +22,8 @@ MAX_DELAY = 0.05
 
 _SEGMENT_TIME = 1.0  # [s], several time constants of a servo of 1 Hz bandwidth
 _MIN_SEGMENT_SAMPLES = 20  # ten per unknown of its initial state
+_MAX_PARTS = 8  # of a servo's period
+_CLOCK_TOLERANCE = 1e-3  # relative, of clocks that are multiples of each other
 _HISTORY = MAX_DELAY + 0.01  # [s] of reference before the first simulated sample
 
 
@@ -52,11 +54,7 @@ class ServoRecord:
     def commands(
         self, times: FloatArray, joint: int, hold: ReferenceHold, width: float
     ) -> FloatArray:
-        """Commanded angle of a joint (from 0) at times; a held one is a mean over `width` [s].
-
-        The phase between commands and servo is unknown, so that a change of a held command takes
-        effect at any time within one period of the servo.
-        """
+        """Commanded angle of a joint (from 0) at times; a held one is a mean over `width` [s]."""
         return _course(self.time, self.reference[:, joint], times, hold, width)
 
     def feed_forwards(self, times: FloatArray, joint: int, width: float) -> FloatArray:
@@ -74,6 +72,18 @@ def _course(
     integral = np.concatenate([[0.0], np.cumsum(values[:-1] * np.diff(time))])
     edges = (np.interp(times + half, time, integral) for half in (0.5 * width, -0.5 * width))
     return np.asarray(np.subtract(*edges) / width)
+
+
+def common_period(period: float, sample_time: float) -> float:
+    """Longest time [s] that divides the periods of servo and log, at least 1/8 of the servo's.
+
+    The readings of a servo tell the delay of a held command up to this time.
+    """
+    for parts in range(1, _MAX_PARTS):
+        ratio = sample_time * parts / period
+        if abs(ratio - round(ratio)) < _CLOCK_TOLERANCE * ratio and round(ratio) > 0:
+            return period / parts
+    return period / _MAX_PARTS
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -108,7 +108,7 @@ class _Motion:
         """Low-passed ref(t - T) - q: (n, n_joints)."""
         record = self.record
         late = [
-            record.commands(record.time - delay, i, loop.hold, loop.servo.period)
+            record.commands(record.time - delay, i, loop.hold, record.sample_time)
             for i, delay in enumerate(delays)
         ]
         passed = low_pass(np.column_stack(late), self.cutoff_hz, record.sample_time)

@@ -408,9 +408,7 @@ def _check_constants(
     if study.arm.position_servo is not None:
         kinds = ("ref",)
         _check_commands(channels, study, path)
-    inputs = [
-        channels[f"{kind}{i}"] for i in joints for kind in kinds if f"{kind}{i}" in channels
-    ]
+    inputs = [channels[f"{kind}{i}"] for i in joints for kind in kinds if f"{kind}{i}" in channels]
     if all(np.ptp(values) == 0.0 for values in inputs):
         raise InvalidInput(
             "no motor input changes in this log",
