@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -24,10 +24,12 @@ from strainwave.domain.results.distributions import CI95_STDS
 from strainwave.identification.position_servo.fit import ServoFit
 from strainwave.identification.position_servo.loop import (
     DELAY,
+    GEAR_EFFECTS,
     KD,
     KP,
     LIMIT,
     SCALE,
+    VELOCITY_LAG,
     VISCOUS,
 )
 from strainwave.identification.position_servo.records import (
@@ -45,6 +47,7 @@ DAMPING = "servo_damping"
 _LEAST_DEVIATION = 0.002  # relative, of torques: as of the whole-arm fit, errors of any model
 # [s] between a reading and its torque: a delay in the loop acts as negative damping kp * delay
 _LOOP_TIMING = 5e-5
+_LAG_ERROR = 0.2  # periods of a servo: filters and resolution of its velocity
 _LOOSE = 1e-2  # weight of the prior share of kd where the data have to tell kd from friction
 _MIN_SINGULAR_VALUE = 1e-9  # relative; unknowns without effect get infinite standard deviations
 _UNIFORM_HALF_WIDTH = 0.475  # of the 95 % interval, over the width of a uniform distribution
@@ -108,6 +111,10 @@ class _Covariance:
             damping = index.get((KD, i), index[VISCOUS, i])
             timing[damping] = -fit.values[KP, i] * _LOOP_TIMING
             covariance += np.outer(timing, timing)
+            # other unknowns follow a change of the lag, whose law is not that of a real servo
+            lag = index[VELOCITY_LAG, i]
+            change = inverse[:, lag] / inverse[lag, lag] * scale[lag] / scale * _LAG_ERROR
+            covariance += np.outer(change, change)
         return covariance
 
 
@@ -170,6 +177,10 @@ def _quantities(fit: ServoFit) -> Iterator[_Quantity]:
         if servo.gain(i) is None:
             yield _Quantity((KP, i), values[KP, i], unit((KP, i)), "N m/rad")
         yield _Quantity((LIMIT, i), values[LIMIT, i], unit((LIMIT, i)), "N m")
+        for name in GEAR_EFFECTS:
+            if (name, i) in index:
+                size = _Quantity((name, i), values[name, i], unit((name, i)), "1")
+                yield replace(size, unit=unit_in(loop.arm, size.key), is_torque=False)
         if (DELAY, i) in index:
             yield _Quantity((DELAY, i), values[DELAY, i], unit((DELAY, i)), "s", is_torque=False)
 

@@ -185,7 +185,7 @@ class _Problem:
         loop, segment, size = self.loop, self.segments[k], self.deviations[k]
         run = loop.simulate(inputs, segment, state, derive=True)
         columns = []
-        index = {key: i for i, key in enumerate(loop.directions)}
+        index = {key: i for i, key in enumerate(loop.directions[: run.derivatives.shape[-1]])}
         for j, unknown in enumerate(self.unknowns):
             if j in changed:
                 is_limit = unknown.keys[0][0] == "torque_limit"
@@ -195,7 +195,7 @@ class _Problem:
                 other = loop.simulate(changed[j], segment, state).angle
                 columns.append((other - run.angle) / steps[j])
                 continue
-            weights = np.zeros(len(index))
+            weights = np.zeros(run.derivatives.shape[-1])
             for key in unknown.keys:
                 for part, weight in (loop.row(key, inputs) or {}).items():
                     weights[index[part]] += weight

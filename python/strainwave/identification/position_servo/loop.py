@@ -37,6 +37,13 @@ LIMIT = "torque_limit"
 DELAY = "servo_delay"
 SCALE: Key = ("scale", None)  # gain by which all torques are divided [N m/rad]; left out: none
 
+MOTOR_SHARE = "motor_share"  # of the motor in inertias of elastic joints
+STIFFNESS = "gear_stiffness"
+GEAR_DAMPING = "gear_damping"
+GEAR_EFFECTS = ("backlash", "load_friction")
+"""Effects of gears, by their parameters."""
+
+_STEPS_PER_PERIOD = 15.0  # of the fastest resonance: a relative error of 2e-4 in its frequency
 _RECORDING_STEP = 1e-3  # [s]; angles are interpolated between; at 20 Hz to 1e-5 of the amplitude
 _SATURATED = 1.0 - 1e-9  # share of the torque limit
 _INITIAL = ("initial_motor_angle", "initial_motor_velocity")
@@ -51,6 +58,7 @@ class LoopInputs:
     plant: Arm
     vector: FloatArray  # parameters of the core
     servo: LinearServo
+    step: float  # [s] of integrator and recording
     output: FloatArray  # (n_ticks, n_joints) part of the output that does not depend on the motion
 
 
@@ -75,16 +83,34 @@ class ServoLoop:
     arm: Arm
     servo: PositionServo
     hold: ReferenceHold
+    has_stiff_gears: bool = False  # of a stiffness that is not fitted, for their effects
 
     @cached_property
     def directions(self) -> tuple[Key, ...]:
         """Parameters of the core by which it differentiates, and initial states."""
         of_joints = [
-            (name, i)
-            for name in (MOTOR_INERTIA, VISCOUS, COULOMB, OFFSET, *_INITIAL)
-            for i in self.numbers
+            (name, i) for name in (MOTOR_INERTIA, VISCOUS, COULOMB, OFFSET) for i in self.numbers
         ]
-        return (*self.arm.base.links, *of_joints)
+        of_gears = [
+            (name, i)
+            for name in (STIFFNESS, GEAR_DAMPING, *GEAR_EFFECTS)
+            for i in self.numbers
+            if (name, i) in self.plant_names
+        ]
+        states = [(name, i) for name in _INITIAL for i in self.numbers]
+        if self.has_gears:
+            states += [("initial_link_velocity", i) for i in self.numbers]
+        return (*self.arm.base.links, *of_joints, *of_gears, *states)
+
+    @cached_property
+    def plant_names(self) -> frozenset[Key]:
+        """Parameters of the core."""
+        return frozenset(self.arm.parameter_names)
+
+    @property
+    def has_gears(self) -> bool:
+        """Whether joints are elastic."""
+        return any(joint.elastic for joint in self.arm.joints)
 
     @property
     def numbers(self) -> range:
@@ -98,23 +124,27 @@ class ServoLoop:
 
     def row(self, key: Key, inputs: LoopInputs) -> Row | None:
         """Derivatives of the core's parameters by a value; None for values of the servo."""
-        base = self.arm.base
+        base, name, joint = self.arm.base, *key
+        motors: list[Key] = [(MOTOR_INERTIA, i) for i in self.numbers]
+        if name == MOTOR_SHARE:
+            shares = self._shares(inputs.values)
+            shares[(joint or 1) - 1] += 1.0  # linear in the share
+            change = base.particular(shares) - base.particular(self._shares(inputs.values))
+            weights = change @ np.array([inputs.values[column.key] for column in base.columns])
+            return dict(zip((*base.links, *motors), weights.tolist(), strict=True))
         for k, column in enumerate(base.columns):
             if column.key == key:
-                motors: list[Key] = [(MOTOR_INERTIA, i) for i in self.numbers]
-                weights = self._particular[:, k].tolist()
-                return dict(zip((*base.links, *motors), weights, strict=True))
-        name, joint = key
+                weights = base.particular(self._shares(inputs.values))[:, k]
+                return dict(zip((*base.links, *motors), weights.tolist(), strict=True))
         if key == SCALE:
             carried = -self.arm.payload_vector(inputs.record.payload) / inputs.values[SCALE] ** 2
             return dict(zip(base.links, carried.tolist(), strict=True))
         if name == VISCOUS and joint is not None:
             return {key: float(self.arm.gear_ratios[joint - 1]) ** 2}
-        return {key: 1.0} if name in (COULOMB, OFFSET) else None
+        return {key: 1.0} if key in self.plant_names else None
 
-    @cached_property
-    def _particular(self) -> FloatArray:
-        return self.arm.base.particular()
+    def _shares(self, values: Values) -> FloatArray:
+        return np.array([values.get((MOTOR_SHARE, i), 0.0) for i in self.numbers])
 
     def prepare(self, values: Values, record: ServoRecord) -> LoopInputs:
         """Arm, servos and commands of a record."""
@@ -133,9 +163,15 @@ class ServoLoop:
             if record.feed_forward[:, i].any():
                 ahead = record.feed_forwards(late, i, width)
                 output[:, i] += (self.servo.torque_per_output(i + 1) or 1.0) * ahead
-        vector = plant.parameter_vector(self._core_values(values, record))
+        known = self._core_values(values, record)
+        step = _RECORDING_STEP
+        if self.has_gears:
+            step = min(step, 1.0 / (_STEPS_PER_PERIOD * plant.fastest_resonance(known)))
+        step = period / int(np.ceil(period / step - 1e-6))
         servo = LinearServo(tuple(self._law(values, i) for i in self.numbers), period, 1.0)
-        return LoopInputs(values, record, plant, vector, servo, output * np.sign(ratios) / limits)
+        vector = plant.parameter_vector(known)
+        output *= np.sign(ratios) / limits
+        return LoopInputs(values, record, plant, vector, servo, step, output)
 
     def simulate(
         self, inputs: LoopInputs, segment: Segment, state: FloatArray, *, derive: bool = False
@@ -146,8 +182,8 @@ class ServoLoop:
         """
         period, ratios, n = self.servo.period, self.arm.gear_ratios, self.arm.n_joints
         time, first = segment.time, self.first_tick(segment)
-        parts = int(np.ceil(period / _RECORDING_STEP - 1e-6))
-        step = period / parts
+        step = inputs.step
+        parts = round(period / step)
         count = int(np.ceil((time[-1] / period - first) * parts - 1e-6)) + 1
         output = inputs.output[first : first + (count - 1) // parts + 1]
         drive = Drive(
@@ -158,6 +194,7 @@ class ServoLoop:
             motor_angle=tuple((state[:n] / ratios).tolist()),
             initial_voltage=(0.0,) * n,
             motor_velocity=tuple((state[n:] / ratios).tolist()),
+            link_velocity=tuple(state[n:].tolist()),
             linear_servo=inputs.servo,
         )
         position = (time - first * period) / step
@@ -175,6 +212,10 @@ class ServoLoop:
             angle, derivatives = recorded["motor_angle"]
             voltage = recorded["voltage"][0]
             derivatives = _between(derivatives * ratios[:, None], position)
+            if self.has_gears:  # the links start with their motors
+                of_links = derivatives[..., -n:] * ratios
+                derivatives = derivatives[..., :-n]
+                derivatives[..., -n:] += of_links
             derivatives[..., -self.n_states :] /= np.tile(ratios, len(_INITIAL))
         else:
             runs = simulate_arms(
@@ -214,12 +255,17 @@ class ServoLoop:
         """Parameters of the core, with the payload of the record."""
         base = self.arm.base
         motors: list[Key] = [(MOTOR_INERTIA, i) for i in self.numbers]
-        body = self._particular @ np.array([values[column.key] for column in base.columns])
+        body = base.particular(self._shares(values)) @ np.array(
+            [values[column.key] for column in base.columns]
+        )
         known = dict(zip((*base.links, *motors), body.tolist(), strict=True))
         for i, ratio in enumerate(self.arm.gear_ratios.tolist(), start=1):
             known[VISCOUS, i] = values[VISCOUS, i] * ratio**2
             known["link_viscous_friction", i] = 0.0
             known[COULOMB, i], known[OFFSET, i] = values[COULOMB, i], values[OFFSET, i]
+            for name in (STIFFNESS, GEAR_DAMPING, *GEAR_EFFECTS):
+                if (name, i) in self.plant_names:
+                    known[name, i] = values[name, i]
         if record.payload is not None:
             carried = self.arm.payload_vector(record.payload) / values.get(SCALE, 1.0)
             for key, value in zip(base.links, carried.tolist(), strict=True):

@@ -1,0 +1,171 @@
+"""Choices that residuals decide: torque limits, courses of the commands, effects of gears."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from strainwave.domain import FloatArray
+from strainwave.domain.arm.parameter_table import COULOMB
+from strainwave.domain.keys import JointNumber, Values
+from strainwave.dynamics.arm import Arm
+from strainwave.identification.position_servo.fit import Guess, ServoFit, fit_segments
+from strainwave.identification.position_servo.loop import (
+    DELAY,
+    GEAR_DAMPING,
+    GEAR_EFFECTS,
+    LIMIT,
+    MOTOR_SHARE,
+    STIFFNESS,
+    ServoLoop,
+)
+from strainwave.identification.position_servo.records import MAX_DELAY, ReferenceHold, Segment
+from strainwave.identification.position_servo.states import deviations, initial_state
+from strainwave.identification.position_servo.unknowns import unknowns_of
+
+_LIMITS = np.geomspace(0.1, 1.6, 16)  # of a torque limit, over the largest torque of the start
+_LIMIT_UNREACHED = 3.0  # factor on the largest torque, beyond which a limit has no effect
+# Decrease of the cost below which residuals do not decide: a likelihood ratio of e^20, because
+# errors of the model correlate over tens of samples.
+_DECISIVE_COST = 40.0
+_PLAUSIBLE_COST = 20.0  # of another course of commands, which has no unknown of its own
+_GEAR_HZ = 150.0  # resonance of a gear that is stiff beside a servo, which is below 20 Hz
+_GEAR_DAMPING_RATIO = 0.02
+_MAX_JOINTS_WITH_EFFECTS = 2  # whose gears are tried: each takes as long as the fit without
+
+
+def fit_from(
+    loop: ServoLoop, values: Values, segments: Sequence[Segment], floor: float, *, passes: int
+) -> ServoFit | None:
+    """Fit from values, with states from the measured angles; None if a simulation diverges."""
+    states = tuple(initial_state(loop, segment) for segment in segments)
+    sizes = np.maximum(deviations(loop, values, segments, states), floor)
+    guess = Guess(values, tuple(segments), states, sizes)
+    return fit_segments(loop, guess, *unknowns_of(loop, values), floor, passes=passes)
+
+
+def choose_limits(fit: ServoFit) -> ServoFit:
+    """The fit with the torque limits that the residuals show, joint by joint.
+
+    Residuals beyond a limit do not show where it is, so it is searched on a grid. A limit that
+    explains little stands in for another effect: the joint then has none.
+    """
+    for i in fit.loop.numbers:
+        loop, values = fit.loop, fit.values
+        top, costs = values[LIMIT, i], dict[float, float]()
+        for limit in (_LIMITS * top).tolist():
+            changed = values | {(LIMIT, i): limit}
+            sizes = deviations(loop, changed, fit.segments, fit.states)
+            costs[limit] = float(np.sum(np.log(np.maximum(sizes, fit.resolution))))
+        best = min(costs, key=costs.__getitem__)
+        limited, free = (
+            fit_from(loop, values | {(LIMIT, i): limit}, fit.segments, fit.resolution, passes=2)
+            for limit in (best, _LIMIT_UNREACHED * top)
+        )
+        if limited is not None and limited.cost < fit.cost:
+            fit = limited
+        if free is not None and free.cost < fit.cost + _DECISIVE_COST:
+            fit = free
+    return fit
+
+
+def choose_hold(held: ServoFit) -> tuple[ServoFit, FloatArray]:
+    """The fit with the course of commands that the residuals show, and changes by rivals.
+
+    Logs usually hold the commands as they were sent. The changes are (n_rivals, n_unknowns).
+    """
+    fits = [held]
+    half = 0.5 * float(np.mean([segment.record.sample_time for segment in held.segments]))
+    later = {k: min(v + half, MAX_DELAY) for k, v in held.values.items() if k[0] == DELAY}
+    for hold in (ReferenceHold.LINEAR, ReferenceHold.SMOOTH):
+        loop = replace(held.loop, hold=hold)
+        fit = fit_from(loop, held.values | later, held.segments, held.resolution, passes=2)
+        fits += [fit] if fit is not None else []
+    least = min(fit.cost for fit in fits)
+    best, *rivals = [fit for fit in fits if fit.cost < least + _PLAUSIBLE_COST]
+    return best, np.array([rival.x - best.x for rival in rivals]).reshape(-1, len(best.x))
+
+
+def choose_gear_effects(fit: ServoFit) -> tuple[ServoFit, FloatArray]:
+    """The fit with the effects of gears that the residuals show, and changes by others.
+
+    Friction that grows with the load hides in Coulomb friction unless the load changes, so that it
+    is a rival even where it explains nothing.
+    """
+    changes = list[FloatArray]()
+    if fit.loop.has_gears or fit.loop.arm.n_joints > _MAX_JOINTS_WITH_EFFECTS:
+        return fit, np.zeros((0, len(fit.x)))
+    plain = fit
+    for i in plain.loop.numbers:
+        for name in _tried_effects(plain.loop.arm, i):
+            loop, values = _with_gear(plain, i, name)
+            rival = fit_from(loop, values, plain.segments, plain.resolution, passes=2)
+            if rival is None:
+                continue
+            if rival.values[name, i] < _LEAST_SIZES[name]:  # a better start of the plain fit
+                shared = {key: rival.values[key] for key in plain.values}
+                again = fit_from(plain.loop, shared, plain.segments, plain.resolution, passes=2)
+                is_better = again is not None and again.cost < plain.cost - _DECISIVE_COST
+                plain, fit = (
+                    (again, again) if again and is_better and fit is plain else (plain, fit)
+                )
+            elif rival.cost < min(fit.cost, plain.cost - _DECISIVE_COST):
+                fit = rival
+            if name == "load_friction" and rival.cost < plain.cost + _PLAUSIBLE_COST:
+                changes += list(_changes(plain, rival, i))
+    if fit is not plain:
+        return fit, np.zeros((0, len(fit.x)))
+    return fit, np.array(changes).reshape(-1, len(fit.x))
+
+
+def _tried_effects(arm: Arm, joint: JointNumber) -> Iterator[str]:
+    """Parameters of effects that a joint may have, by those that the study names."""
+    effects = arm.joints[joint - 1].effects
+    for name in GEAR_EFFECTS:
+        if effects == "auto" or name.replace("_", "-") in effects:
+            yield name
+
+
+def _with_gear(fit: ServoFit, joint: JointNumber, effect: str) -> tuple[ServoLoop, Values]:
+    """The loop with a stiff gear in one joint, which has an effect, and its start."""
+    arm, values = fit.loop.arm, dict(fit.values)
+    effects = (effect.replace("_", "-"),)
+    geared = arm.with_joint(joint, spring="linear", effects=effects)
+    omega, share = 2.0 * np.pi * _GEAR_HZ, 0.5
+    ratio = float(arm.gear_ratios[joint - 1])
+    at_rest = np.zeros(arm.n_joints)
+    particular = arm.base.particular(np.full(arm.n_joints, share))
+    body = particular @ np.array([values[column.key] for column in arm.base.columns])
+    link = float(arm.link_inertias(body[: len(arm.base.links)])[joint - 1] + at_rest[joint - 1])
+    motor = float(body[len(arm.base.links) + joint - 1]) / ratio**2
+    reduced = link * motor / (link + motor) if motor > 0.0 else link
+    stiffness = reduced * omega**2
+    values |= {
+        (MOTOR_SHARE, joint): share,
+        (STIFFNESS, joint): stiffness,
+        (GEAR_DAMPING, joint): 2.0 * _GEAR_DAMPING_RATIO * stiffness / omega,
+        (effect, joint): _STARTS[effect],
+    }
+    return replace(fit.loop, arm=Arm.of(geared), has_stiff_gears=True), values
+
+
+# sizes below which an effect is none: a tenth of a count of 12 bits, and of usual friction of teeth
+_LEAST_SIZES = dict(zip(GEAR_EFFECTS, (1.5e-4, 5e-3), strict=True))
+_STARTS = dict(zip(GEAR_EFFECTS, (1e-3, 0.05), strict=True))  # [rad], 1
+
+
+def _changes(plain: ServoFit, rival: ServoFit, joint: JointNumber) -> Iterator[FloatArray]:
+    """Change of the unknowns, and the wider deviation of Coulomb friction."""
+    yield np.array([rival.values[u.keys[0]] - plain.values[u.keys[0]] for u in plain.unknowns])
+    table = np.vstack([*(rows.jacobian for rows in rival.rows), rival.prior_rows()])
+    norms = np.linalg.norm(table, axis=0)
+    norms[norms == 0.0] = np.inf
+    inverse = np.linalg.pinv(table / norms)
+    for k, unknown in enumerate(plain.unknowns):
+        if unknown.keys == ((COULOMB, joint),):
+            at = [each.keys for each in rival.unknowns].index(unknown.keys)
+            deviation = np.zeros(len(plain.unknowns))
+            deviation[k] = float(np.linalg.norm(inverse[at])) / norms[at] * rival.misfit
+            yield deviation

@@ -1,0 +1,82 @@
+"""Unknowns of a fit of position servos, with their scales, ranges and priors."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from strainwave.domain.arm.description import UNKNOWN
+from strainwave.domain.arm.parameter_table import COULOMB, OFFSET
+from strainwave.domain.keys import Key, Values
+from strainwave.identification.position_servo.fit import Prior, Unknown
+from strainwave.identification.position_servo.loop import (
+    DELAY,
+    GEAR_DAMPING,
+    GEAR_EFFECTS,
+    KD,
+    KP,
+    LIMIT,
+    MOTOR_SHARE,
+    SCALE,
+    STIFFNESS,
+    VELOCITY_LAG,
+    VISCOUS,
+    ServoLoop,
+)
+from strainwave.identification.position_servo.records import MAX_DELAY
+
+_KD_SHARE_STD = 0.29  # of a uniform distribution on [0, 1]
+_LAG, _LAG_STD = 0.5, 0.5  # of a servo's velocity: from that at the reading to two periods
+_MOTOR_SHARE, _MOTOR_SHARE_STD = 0.5, 0.3  # designs match motor and link within a factor
+_EFFECT_SCALES = dict(zip(GEAR_EFFECTS, (1e-3, 0.05), strict=True))  # [rad], 1
+
+
+def unknowns_of(loop: ServoLoop, values: Values) -> tuple[list[Unknown], list[Prior]]:
+    """Unknowns of a fit with scales from its start, and what is known of them.
+
+    A servo has any share of the damping, and its velocity may be late by two periods.
+    """
+    servo, unknowns, priors = loop.servo, list[Unknown](), list[Prior]()
+    for column in loop.arm.base.columns:
+        size = max(
+            abs(values[other.key]) for other in loop.arm.base.columns if other.unit == column.unit
+        )
+        unknowns.append(Unknown((column.key,), size + np.finfo(float).tiny))
+    for i in loop.numbers:
+        torque = values[LIMIT, i]
+        kd, viscous = values[KD, i], values[VISCOUS, i]
+        damping = kd + viscous
+        size = 0.5 * damping + 3e-3 * torque
+        keys: list[tuple[str, float, float, float]] = [
+            (VISCOUS, size, 0.0, np.inf),
+            (COULOMB, values[COULOMB, i] + 0.01 * torque, 0.0, np.inf),
+            (OFFSET, 0.02 * torque, -np.inf, np.inf),
+            (VELOCITY_LAG, 0.5, -1.0, 3.0),
+            (LIMIT, 0.2 * torque, 0.02 * torque, np.inf),
+        ]
+        if servo.damping_gain(i) is None or servo.gain(1) is None:
+            keys.append((KD, size, 0.0, np.inf))
+            share: tuple[tuple[Key, float], ...] = (((KD, i), 1.0), ((VISCOUS, i), -1.0))
+            priors.append(Prior(share, 0.0, 2.0 * _KD_SHARE_STD * damping + 1e-3 * torque))
+        if i > 1 and servo.gain(i) is None:
+            keys.append((KP, 0.3 * values[KP, i], 0.01 * values[KP, i], np.inf))
+        if isinstance(servo.delay, tuple) and servo.delay_of(i) is None:
+            keys.append((DELAY, 0.003, 0.0, 1.2 * MAX_DELAY))
+        if loop.arm.joints[i - 1].elastic:
+            keys.append((MOTOR_SHARE, 0.2, 0.02, 0.98))
+            priors.append(Prior((((MOTOR_SHARE, i), 1.0),), _MOTOR_SHARE, _MOTOR_SHARE_STD))
+            if not loop.has_stiff_gears:
+                keys.append((STIFFNESS, 0.3 * values[STIFFNESS, i], 0.0, np.inf))
+                keys.append((GEAR_DAMPING, values[GEAR_DAMPING, i], 0.0, np.inf))
+            keys += [
+                (name, scale, 0.0, np.inf)
+                for name, scale in _EFFECT_SCALES.items()
+                if (name, i) in loop.plant_names
+            ]
+        unknowns += [Unknown(((name, i),), *of) for name, *of in keys]
+        priors.append(Prior((((VELOCITY_LAG, i), 1.0),), _LAG, _LAG_STD))
+    if servo.delay == UNKNOWN:
+        together = tuple((DELAY, i) for i in loop.numbers)
+        unknowns.append(Unknown(together, 0.003, 0.0, 1.2 * MAX_DELAY))
+    if SCALE in values:
+        unknowns.append(Unknown((SCALE,), 0.3 * values[SCALE], 0.01 * values[SCALE]))
+    return unknowns, priors
