@@ -1,9 +1,10 @@
 """Position servos drawn over what hobby and quasi-direct drives do, simulated in MuJoCo.
 
 A rig is a pendulum of one or two joints. Its servo reads the goal with a delay, and a 12-bit angle,
-at its own period, and holds its output; the log has goal and present position alone. `_FLAVOURS`
-are the scales that the study states. In studies without one, and in slow, small or absent motions,
-some values are not determined.
+at its own period, and holds its output; the log has goal and present position alone. The goal is
+held between samples of the log, or the log samples a continuous one. `_FLAVOURS` are the scales
+that the study states. In studies without one, and in slow, small or absent motions, some values are
+not determined.
 """
 
 from __future__ import annotations
@@ -40,6 +41,7 @@ _TWO_JOINTS_EVERY = 8  # rigs, of each flavour
 _PERIODS = (0.001, 0.002, 0.004, 0.005)  # [s] of servos
 _SAMPLE_TIMES = (0.002, 0.004, 0.005, 0.01, 0.02)  # [s] of logs
 _DELAYS = (0.005, 0.03)  # [s]
+_FAST_GOAL = 5e-4  # [s]
 _BANDWIDTHS = (15.0, 60.0)  # [rad/s] sqrt(kp / inertia)
 _MAX_SAG = 0.25  # [rad] of a horizontal link under its own weight
 _DURATION, _STEPS_DURATION, _SETTLING = 25.0, 12.0, 2.0  # [s]
@@ -91,6 +93,7 @@ class ServoRig:
     period: float  # [s] of the servos
     sample_time: float  # [s] of the log
     delay: float  # [s] from goal to servo
+    is_held: bool  # whether the goal changes with the samples of the log alone
     links: tuple[Link, ...]
     drives: tuple[Drive, ...]
     payload: tuple[float, float]  # [kg], [m] along the last link
@@ -103,9 +106,16 @@ class ServoRig:
     @property
     def equal_delays(self) -> tuple[float, float]:
         """Delays [s] that give the servos the same goals at all of their ticks."""
+        if not self.is_held:
+            return self.delay, self.delay
         grid = math.gcd(round(self.period / STEP), round(self.sample_time / STEP))
         last = -(-round(self.delay / STEP) // grid) * grid
         return (last - grid) * STEP, last * STEP
+
+    @property
+    def goal_time(self) -> float:
+        """Time [s] between rows of a goal, which the servo joins by lines unless it is held."""
+        return self.sample_time if self.is_held else _FAST_GOAL
 
     @property
     def classes(self) -> dict[str, str]:
@@ -116,6 +126,7 @@ class ServoRig:
             "gear": self.gear,
             "joints": str(len(self.links)),
             "motion": self.motion,
+            "goal": "held" if self.is_held else "smooth",
         }
 
 
@@ -143,6 +154,7 @@ def draw_servo(seed: int) -> ServoRig:
         period,
         float(rng.choice(_SAMPLE_TIMES)),
         round(float(rng.uniform(*_DELAYS)), 4),
+        bool(np.random.default_rng([6, seed]).uniform() < 0.5),
         tuple(links),
         tuple(_draw_drive(rng, *load, output, gear, period) for load in loads),
         _draw_payload(rng, links[-1]),
@@ -242,8 +254,10 @@ def write_rig(rig: ServoRig, folder: Path) -> None:
     goals = _goals(rig, rng)
     for name, goal in goals.items():
         present = simulate(rig, goal, payload=name == "loaded")
-        time = rig.sample_time * np.arange(len(goal))
-        columns = np.column_stack([time, np.stack([goal, present], axis=2).reshape(len(goal), -1)])
+        time = rig.sample_time * np.arange(len(present))
+        logged = goal[:: round(rig.sample_time / rig.goal_time)]
+        pairs = np.stack([logged, present], axis=2).reshape(len(time), -1)
+        columns = np.column_stack([time, pairs])
         path = folder / f"{name}.csv"
         np.savetxt(path, columns, fmt="%.8g", delimiter=",", header=head, comments="")
     (folder / "study.toml").write_text(study_text(rig, tuple(goals)))
@@ -307,8 +321,8 @@ def _servo_lines(rig: ServoRig) -> list[str]:
 
 def _goals(rig: ServoRig, rng: np.random.Generator) -> dict[str, FloatArray]:
     """Goals of the records: (n_samples, n_joints) each."""
-    n = round(_DURATION / rig.sample_time)
-    time: FloatArray = rig.sample_time * np.arange(n, dtype=np.float64)
+    n = round(_DURATION / rig.goal_time)
+    time: FloatArray = rig.goal_time * np.arange(n, dtype=np.float64)
     joints = range(len(rig.links))
     if rig.motion == "rich":
         multisine = np.column_stack([_multisine(rig, i, time, rng) for i in joints])
@@ -319,7 +333,7 @@ def _goals(rig: ServoRig, rng: np.random.Generator) -> dict[str, FloatArray]:
         size = {"slow": 0.5, "small": 1.5 * _COUNT, "none": 0.0}[rig.motion]  # [rad]
         waves = [_waves(time, rng.integers(1, 4, 3), rng) for _ in joints]
         goals = {"slow": size * np.column_stack(waves) + 0.2}
-    short = rig.sample_time * np.arange(round(_STEPS_DURATION / rig.sample_time))
+    short = rig.goal_time * np.arange(round(_STEPS_DURATION / rig.goal_time))
     levels = rng.uniform(-0.3, 0.5, (round(_STEPS_DURATION / _STEP_EVERY) + 1, len(rig.links)))
     goals["steps"] = levels[(short / _STEP_EVERY).astype(int)]
     return goals
@@ -340,7 +354,7 @@ def _multisine(rig: ServoRig, i: int, time: FloatArray, rng: np.random.Generator
     slow = float(rng.uniform(0.45, 0.85)) * _waves(time, rng.integers(2, 18, 8), rng)
     high = np.geomspace(0.7, 1.2 * bandwidth, 12) * _DURATION
     fast = _waves(time, np.unique(high.round()), rng)
-    omega = 2.0 * np.pi * np.fft.rfftfreq(len(time), rig.sample_time)
+    omega = 2.0 * np.pi * np.fft.rfftfreq(len(time), time[1])
     late = np.exp(-1j * omega * rig.delay)
     closed = drive.kp - inertia * omega**2 + 1j * omega * drive.damping
     servo = drive.kp * late * (1.0 - (drive.kp + 1j * omega * drive.kd) / closed)
@@ -361,7 +375,10 @@ def _chirp(rig: ServoRig, time: FloatArray, rng: np.random.Generator) -> FloatAr
 
 
 def simulate(rig: ServoRig, goal: FloatArray, *, payload: bool = False) -> FloatArray:
-    """Present positions (n_samples, n_joints) [rad] of a record that starts at rest."""
+    """Present positions (n_samples, n_joints) [rad] of a record that starts at rest.
+
+    `goal` has a row every `rig.goal_time`: (n_goals, n_joints).
+    """
     model = _model(rig, payload)
     data = mujoco.MjData(model)
     n = len(rig.links)
@@ -371,15 +388,19 @@ def simulate(rig: ServoRig, goal: FloatArray, *, payload: bool = False) -> Float
     per_tick, per_sample = round(rig.period / STEP), round(rig.sample_time / STEP)
     late, settling = round(rig.delay / STEP), round(_SETTLING / STEP)
     rubs, inertia = rig.gear == "load-friction", rig.links[0].inertia
-    present = np.empty((len(goal), n))
+    per_goal = round(rig.goal_time / STEP)
+    end = (len(goal) * per_goal - 1) // per_sample * per_sample
+    present = np.empty((end // per_sample + 1, n))
     k = -settling
-    end = (len(goal) - 1) * per_sample
     while k <= end:
         angle = _COUNT * np.round(data.qpos[joints] / _COUNT)
         if k >= 0 and k % per_sample == 0:
             present[k // per_sample] = angle
         if k % per_tick == 0:
-            target = goal[max((k - late) // per_sample, 0)]
+            row, rest = divmod(max(k - late, 0), per_goal)
+            target = goal[row]
+            if rest and not rig.is_held and row + 1 < len(goal):
+                target = target + rest / per_goal * (goal[row + 1] - target)
             torque = kp * (target - angle) - kd * data.qvel[joints]
             data.ctrl[:] = np.clip(torque, -limit, limit)
         if rubs:

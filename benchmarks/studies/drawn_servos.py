@@ -33,6 +33,7 @@ from benchmarks.studies.arms import run_all
 from strainwave.domain.keys import Values, label_of
 
 _MAX_STDS = 4.0
+_CLASSES = ("flavour", "output", "gear", "joints", "motion", "goal")
 _TIMEOUT = 900.0  # [s] of a run
 _SCALED = re.compile("N m|kg")  # units of values that need a scale
 _MIN_OWN_VARIANCE = 1e-4  # of the variance, if all of it is of the model
@@ -172,13 +173,13 @@ def silently_wrong(row: dict[str, Any]) -> list[str]:
 
 def tabulate(rows: Sequence[dict[str, Any]]) -> list[Table]:
     """Tables of rigs, parameters, classes and halves."""
-    heads = ("servo", "flavour", "output", "gear", "joints", "motion", "status", "inside", "wrong")
+    heads = ("servo", *_CLASSES, "status", "inside", "wrong")
     rigs = Table(*heads, "without scale", "time", box=None)
     for row in sorted(rows, key=lambda row: int(row["seed"])):
         inside = [p["inside"] for p in row.get("parameters", [])]
         rigs.add_row(
             str(row["seed"]),
-            *(row[head] for head in heads[1:6]),
+            *(row[head] for head in _CLASSES),
             row.get("status") or row["failure"][:70],
             f"{sum(inside)}/{len(inside)}",
             "; ".join(silently_wrong(row)),
@@ -194,7 +195,7 @@ def tabulate(rows: Sequence[dict[str, Any]]) -> list[Table]:
     _add(parameters, "all", all_values)
     classes = Table("class", "servos", "verdicts", "inside", "rms", "wrong", "no scale", box=None)
     groups = {"all": list(rows)}
-    for head in heads[1:6]:
+    for head in _CLASSES:
         for value in sorted({row[head] for row in rows}):
             groups[f"{head} {value}"] = [row for row in rows if row[head] == value]
     for name, group in groups.items():

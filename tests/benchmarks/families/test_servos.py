@@ -18,7 +18,7 @@ COUNT = 2.0 * np.pi / 4096
 
 def standing(rig: ServoRig, angles: list[float], *, payload: bool = False) -> np.ndarray:
     """Angles at which the joints come to rest under constant goals."""
-    goal = np.tile(angles, (round(0.5 / rig.sample_time), 1))
+    goal = np.tile(angles, (round(0.5 / rig.goal_time), 1))
     return np.asarray(simulate(rig, goal, payload=payload)[-1])
 
 
@@ -53,7 +53,7 @@ def test_a_payload_adds_its_weight() -> None:
 
 
 def test_equal_delays_give_the_same_record() -> None:
-    rig = draw_servo(2)
+    rig = replace(draw_servo(2), is_held=True)
     low, high = rig.equal_delays
     assert low < rig.delay <= high
     assert high - low >= STEP
