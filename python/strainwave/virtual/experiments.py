@@ -46,6 +46,7 @@ from strainwave.io import logs
 from strainwave.io import study as studies
 from strainwave.io.parameters import read_parameters
 from strainwave.signals.recorded_input import recorded_drive
+from strainwave.virtual.position_servos import record_servo
 from strainwave.virtual.scara import SOFT, BuiltInArm
 
 Progress = Callable[[str], None]
@@ -112,13 +113,16 @@ def simulate_study(
     for number, experiment in enumerate(study.experiments):
         progress(f"simulating {experiment.name}, {number + 1} of {len(study.experiments)}")
         rng = np.random.default_rng([seed, number])
-        plan = _existing_plan(study, arm, experiment, values) if as_recorded else None
-        plan = plan or default_plan(study.path, arm, experiment, values, rng, sample_time)
-        logs_columns.append(
-            record_experiment(
-                study, arm, plan, values, noise, rng, simulator, experiment.name, experiment.payload
+        if arm.position_servo is not None:
+            logs_columns.append(record_servo(study, arm, experiment, values, rng))
+        else:
+            plan = _existing_plan(study, arm, experiment, values) if as_recorded else None
+            plan = plan or default_plan(study.path, arm, experiment, values, rng, sample_time)
+            name, payload = experiment.name, experiment.payload
+            columns = record_experiment(
+                study, arm, plan, values, noise, rng, simulator, name, payload
             )
-        )
+            logs_columns.append(columns)
         file = Path(experiment.file).name
         if not file.endswith(_WRITABLE_FORMATS):
             file = f"{Path(file).stem}.parquet"

@@ -16,6 +16,7 @@ from strainwave.domain import FloatArray, Log
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import NotIdentifiable, NumericalFailure
 from strainwave.identification.position_servo.candidates import (
+    calm_segments,
     choose_gear_effects,
     choose_hold,
     choose_limits,
@@ -54,14 +55,16 @@ def fit_position_servos(logs: Sequence[Log], arm: Arm) -> ServoFit:
     coarse = segments[::_COARSE] if len(segments) >= 4 * _COARSE else segments
     fits = []
     for start in linear_starts(loop, records)[:_MAX_STARTS]:
-        fit = fit_from(loop, start.values, coarse, floor, passes=2)
+        calm = calm_segments(loop, start.values, coarse, floor)
+        fit = fit_from(loop, start.values, calm, floor, passes=2)
         fits += [fit] if fit is not None else []
-    if not fits:
+    starts = sorted(fits, key=lambda fit: fit.cost / sum(s.angle.size for s in fit.segments))
+    best = choose_limits(starts[0], coarse) if starts else None
+    if best is None:
         raise NotIdentifiable(
             "no simulation of the servos follows the records: check the units and signs of the "
             "commanded and measured angles, and gear_ratio"
         )
-    best = choose_limits(min(fits, key=lambda fit: fit.cost))
     best, by_hold = choose_hold(best)
     n_unknowns = len(best.x)
     best, by_gears = choose_gear_effects(best)

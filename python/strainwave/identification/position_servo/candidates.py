@@ -25,15 +25,20 @@ from strainwave.identification.position_servo.records import MAX_DELAY, Referenc
 from strainwave.identification.position_servo.states import deviations, initial_state
 from strainwave.identification.position_servo.unknowns import unknowns_of
 
+_CALM_RATIO = 2.0  # of residuals over their median
 _LIMITS = np.geomspace(0.1, 1.6, 16)  # of a torque limit, over the largest torque of the start
-_LIMIT_UNREACHED = 3.0  # factor on the largest torque, beyond which a limit has no effect
+LIMIT_UNREACHED = 3.0
+"""Factor on the largest torque of the fitted records, beyond which a limit has no effect."""
+
 # Decrease of the cost below which residuals do not decide: a likelihood ratio of e^20, because
 # errors of the model correlate over tens of samples.
 _DECISIVE_COST = 40.0
-_PLAUSIBLE_COST = 20.0  # of another course of commands, which has no unknown of its own
-_GEAR_HZ = 150.0  # resonance of a gear that is stiff beside a servo, which is below 20 Hz
+# Cost per sample up to which another course of commands is plausible: residuals of the size of the
+# resolution do not tell courses whose root mean squares differ by less than 0.5 %.
+_PLAUSIBLE_COST = 0.01
+_GEAR_HZ = 100.0  # resonance of a gear that is stiff beside a servo, which is below 20 Hz
 _GEAR_DAMPING_RATIO = 0.02
-_MAX_JOINTS_WITH_EFFECTS = 2  # whose gears are tried: each takes as long as the fit without
+_MAX_JOINTS_WITH_EFFECTS = 1  # with couplings, effects of one joint hide in those of others
 
 
 def fit_from(
@@ -46,29 +51,46 @@ def fit_from(
     return fit_segments(loop, guess, *unknowns_of(loop, values), floor, passes=passes)
 
 
-def choose_limits(fit: ServoFit) -> ServoFit:
-    """The fit with the torque limits that the residuals show, joint by joint.
+def calm_segments(
+    loop: ServoLoop, values: Values, segments: Sequence[Segment], floor: float
+) -> tuple[Segment, ...]:
+    """Segments that a start predicts about as well as most.
+
+    Beyond a torque limit that a start does not know, simulation and measurement part.
+    """
+    states = [initial_state(loop, segment) for segment in segments]
+    sizes = np.max(np.maximum(deviations(loop, values, segments, states), floor), axis=1)
+    is_calm = sizes <= _CALM_RATIO * np.median(sizes)
+    return tuple(s for s, calm in zip(segments, is_calm, strict=True) if calm)
+
+
+def choose_limits(fit: ServoFit, segments: Sequence[Segment]) -> ServoFit | None:
+    """Fit of more segments, with the torque limits that they show, joint by joint.
 
     Residuals beyond a limit do not show where it is, so it is searched on a grid. A limit that
-    explains little stands in for another effect: the joint then has none.
+    explains little stands in for another effect: the joint then has none. None if no simulation
+    follows the segments.
     """
-    for i in fit.loop.numbers:
-        loop, values = fit.loop, fit.values
-        top, costs = values[LIMIT, i], dict[float, float]()
+    loop, floor = fit.loop, fit.resolution
+    states = [initial_state(loop, segment) for segment in segments]
+    tops = {i: fit.values[LIMIT, i] for i in loop.numbers}
+    values = fit.values
+    for i, top in tops.items():
+        costs = dict[float, float]()
         for limit in (_LIMITS * top).tolist():
-            changed = values | {(LIMIT, i): limit}
-            sizes = deviations(loop, changed, fit.segments, fit.states)
-            costs[limit] = float(np.sum(np.log(np.maximum(sizes, fit.resolution))))
-        best = min(costs, key=costs.__getitem__)
-        limited, free = (
-            fit_from(loop, values | {(LIMIT, i): limit}, fit.segments, fit.resolution, passes=2)
-            for limit in (best, _LIMIT_UNREACHED * top)
-        )
-        if limited is not None and limited.cost < fit.cost:
-            fit = limited
-        if free is not None and free.cost < fit.cost + _DECISIVE_COST:
-            fit = free
-    return fit
+            sizes = deviations(loop, values | {(LIMIT, i): limit}, segments, states)
+            costs[limit] = float(np.sum(np.log(np.maximum(sizes, floor))))
+        values = values | {(LIMIT, i): min(costs, key=costs.__getitem__)}
+    best = fit_from(loop, values, segments, floor, passes=2)
+    for i, top in tops.items():
+        if best is not None and not best.saturated[i - 1]:
+            continue
+        start = values if best is None else best.values
+        unlimited = start | {(LIMIT, i): LIMIT_UNREACHED * top}
+        free = fit_from(loop, unlimited, segments, floor, passes=2)
+        if free is not None and (best is None or free.cost < best.cost + _DECISIVE_COST):
+            best = free
+    return best
 
 
 def choose_hold(held: ServoFit) -> tuple[ServoFit, FloatArray]:
@@ -83,41 +105,45 @@ def choose_hold(held: ServoFit) -> tuple[ServoFit, FloatArray]:
         loop = replace(held.loop, hold=hold)
         fit = fit_from(loop, held.values | later, held.segments, held.resolution, passes=2)
         fits += [fit] if fit is not None else []
-    least = min(fit.cost for fit in fits)
-    best, *rivals = [fit for fit in fits if fit.cost < least + _PLAUSIBLE_COST]
+    rows = sum(segment.angle.size for segment in held.segments)
+    most = min(fit.cost for fit in fits) + _PLAUSIBLE_COST * rows
+    best, *rivals = [fit for fit in fits if fit.cost <= most]
     return best, np.array([rival.x - best.x for rival in rivals]).reshape(-1, len(best.x))
 
 
 def choose_gear_effects(fit: ServoFit) -> tuple[ServoFit, FloatArray]:
-    """The fit with the effects of gears that the residuals show, and changes by others.
+    """The fit with the effect of a gear that the residuals show, and changes by others.
 
     Friction that grows with the load hides in Coulomb friction unless the load changes, so that it
     is a rival even where it explains nothing.
     """
-    changes = list[FloatArray]()
+    none = np.zeros((0, len(fit.x)))
     if fit.loop.has_gears or fit.loop.arm.n_joints > _MAX_JOINTS_WITH_EFFECTS:
-        return fit, np.zeros((0, len(fit.x)))
-    plain = fit
+        return fit, none
+    plain, effects, changes = fit, list[ServoFit](), list[FloatArray]()
     for i in plain.loop.numbers:
         for name in _tried_effects(plain.loop.arm, i):
             loop, values = _with_gear(plain, i, name)
             rival = fit_from(loop, values, plain.segments, plain.resolution, passes=2)
             if rival is None:
                 continue
-            if rival.values[name, i] < _LEAST_SIZES[name]:  # a better start of the plain fit
-                shared = {key: rival.values[key] for key in plain.values}
-                again = fit_from(plain.loop, shared, plain.segments, plain.resolution, passes=2)
-                is_better = again is not None and again.cost < plain.cost - _DECISIVE_COST
-                plain, fit = (
-                    (again, again) if again and is_better and fit is plain else (plain, fit)
-                )
-            elif rival.cost < min(fit.cost, plain.cost - _DECISIVE_COST):
-                fit = rival
-            if name == "load_friction" and rival.cost < plain.cost + _PLAUSIBLE_COST:
-                changes += list(_changes(plain, rival, i))
-    if fit is not plain:
-        return fit, np.zeros((0, len(fit.x)))
-    return fit, np.array(changes).reshape(-1, len(fit.x))
+            if rival.values[name, i] >= _LEAST_SIZES[name]:
+                effects.append(rival)
+            elif rival.cost < plain.cost - _DECISIVE_COST:
+                plain = _restarted(plain, rival)
+            if name == "load_friction":
+                changes += _changes(plain, rival, i)
+    best = min(effects, key=lambda each: each.cost, default=plain)
+    if best.cost < plain.cost - _DECISIVE_COST:
+        return best, none
+    return plain, np.array(changes).reshape(-1, len(plain.x))
+
+
+def _restarted(plain: ServoFit, rival: ServoFit) -> ServoFit:
+    """The fit without an effect, from the values of a fit whose effect vanished."""
+    shared = {key: rival.values[key] for key in plain.values}
+    again = fit_from(plain.loop, shared, plain.segments, plain.resolution, passes=2)
+    return again if again is not None and again.cost < plain.cost else plain
 
 
 def _tried_effects(arm: Arm, joint: JointNumber) -> Iterator[str]:
@@ -135,10 +161,9 @@ def _with_gear(fit: ServoFit, joint: JointNumber, effect: str) -> tuple[ServoLoo
     geared = arm.with_joint(joint, spring="linear", effects=effects)
     omega, share = 2.0 * np.pi * _GEAR_HZ, 0.5
     ratio = float(arm.gear_ratios[joint - 1])
-    at_rest = np.zeros(arm.n_joints)
     particular = arm.base.particular(np.full(arm.n_joints, share))
     body = particular @ np.array([values[column.key] for column in arm.base.columns])
-    link = float(arm.link_inertias(body[: len(arm.base.links)])[joint - 1] + at_rest[joint - 1])
+    link = float(arm.link_inertias(body[: len(arm.base.links)])[joint - 1])
     motor = float(body[len(arm.base.links) + joint - 1]) / ratio**2
     reduced = link * motor / (link + motor) if motor > 0.0 else link
     stiffness = reduced * omega**2
@@ -156,16 +181,15 @@ _LEAST_SIZES = dict(zip(GEAR_EFFECTS, (1.5e-4, 5e-3), strict=True))
 _STARTS = dict(zip(GEAR_EFFECTS, (1e-3, 0.05), strict=True))  # [rad], 1
 
 
-def _changes(plain: ServoFit, rival: ServoFit, joint: JointNumber) -> Iterator[FloatArray]:
-    """Change of the unknowns, and the wider deviation of Coulomb friction."""
-    yield np.array([rival.values[u.keys[0]] - plain.values[u.keys[0]] for u in plain.unknowns])
+def _changes(plain: ServoFit, rival: ServoFit, joint: JointNumber) -> list[FloatArray]:
+    """Change of the unknowns by a rival, and its wider deviation of Coulomb friction."""
+    change = np.array([rival.values[u.keys[0]] - plain.values[u.keys[0]] for u in plain.unknowns])
     table = np.vstack([*(rows.jacobian for rows in rival.rows), rival.prior_rows()])
     norms = np.linalg.norm(table, axis=0)
     norms[norms == 0.0] = np.inf
     inverse = np.linalg.pinv(table / norms)
-    for k, unknown in enumerate(plain.unknowns):
-        if unknown.keys == ((COULOMB, joint),):
-            at = [each.keys for each in rival.unknowns].index(unknown.keys)
-            deviation = np.zeros(len(plain.unknowns))
-            deviation[k] = float(np.linalg.norm(inverse[at])) / norms[at] * rival.misfit
-            yield deviation
+    deviation, coulomb = np.zeros(len(plain.unknowns)), ((COULOMB, joint),)
+    at = [unknown.keys for unknown in rival.unknowns].index(coulomb)
+    own = [unknown.keys for unknown in plain.unknowns].index(coulomb)
+    deviation[own] = float(np.linalg.norm(inverse[at])) / norms[at] * rival.misfit
+    return [change, deviation]

@@ -21,6 +21,7 @@ from strainwave.domain.arm.description import unit_in
 from strainwave.domain.arm.parameter_table import COULOMB, OFFSET
 from strainwave.domain.keys import Key
 from strainwave.domain.results.distributions import CI95_STDS
+from strainwave.identification.position_servo.candidates import LIMIT_UNREACHED
 from strainwave.identification.position_servo.fit import ServoFit
 from strainwave.identification.position_servo.loop import (
     DELAY,
@@ -50,6 +51,10 @@ _LOOP_TIMING = 5e-5
 _LAG_ERROR = 0.2  # periods of a servo: filters and resolution of its velocity
 _LOOSE = 1e-2  # weight of the prior share of kd where the data have to tell kd from friction
 _MIN_SINGULAR_VALUE = 1e-9  # relative; unknowns without effect get infinite standard deviations
+# relative half-width of kd and viscous friction, which differ in the held sample alone unless the
+# output reaches its limit
+_MAX_SPLIT_ERROR = 0.3
+_MAX_EFFECT_MISFIT = 1.3  # beyond which an effect stands in for another
 _UNIFORM_HALF_WIDTH = 0.475  # of the 95 % interval, over the width of a uniform distribution
 _MAX_CHECK_ERROR = 0.1  # rms, over the motion: errors below are accepted whatever their cause
 
@@ -86,8 +91,8 @@ class _Covariance:
     def _with_priors(fit: ServoFit, weight: float) -> FloatArray:
         """Dispersion between segments, errors of the model and of its clocks.
 
-        Residuals beyond the resolution are errors of the model, which segments may share: the
-        dispersion then grows by their ratio.
+        Residuals beyond the resolution are errors of the model that segments share, so that the
+        dispersion between segments is too small: deviations grow by the ratio of the variances.
         """
         priors = fit.prior_rows()
         is_share = [len(prior.weights) > 1 for prior in fit.priors]
@@ -101,7 +106,7 @@ class _Covariance:
         n = len(scores)
         inner = n / max(n - 1, 1) * scores.T @ scores + (priors / scale).T @ (priors / scale)
         covariance = inverse @ inner @ inverse / np.outer(scale, scale)
-        covariance = np.asarray(covariance * fit.misfit**2)
+        covariance = np.asarray(covariance * fit.misfit**4)
         covariance += fit.rival_changes.T @ fit.rival_changes
         index = {key: k for k, unknown in enumerate(fit.unknowns) for key in unknown.keys}
         for i in fit.loop.numbers:
@@ -225,16 +230,20 @@ def _in_torques(
 def _why_not(fit: ServoFit, key: Key, value: float, std: float, *, is_ratio: bool) -> str | None:
     """Variant of the warning of a parameter that the data do not determine; None if they do."""
     name, joint = key
-    if name == KP and is_ratio:
-        return "scale"
-    if name == LIMIT and joint is not None and not fit.saturated[joint - 1]:
-        return "limit"
-    if name == VISCOUS and fit.loop.servo.back_emf_damping(joint or 1) is None:
-        return "back-emf"
+    reasons = {
+        "scale": name == KP and is_ratio,
+        "limit": name == LIMIT and not fit.saturated[(joint or 1) - 1],
+        "back-emf": name == VISCOUS and fit.loop.servo.back_emf_damping(joint or 1) is None,
+        "effect": name in GEAR_EFFECTS and fit.misfit > _MAX_EFFECT_MISFIT,
+    }
+    for reason, holds in reasons.items():
+        if holds:
+            return reason
     # of friction, an interval that contains zero tells that there is nearly none
-    if CI95_STDS * std < abs(value) or name in (COULOMB, OFFSET, DAMPING):
-        return None
-    return "split" if name in (KD, VISCOUS) else "motion"
+    half = CI95_STDS * std
+    if name in (KD, VISCOUS):
+        return "split" if half > _MAX_SPLIT_ERROR * abs(value) else None
+    return "motion" if half >= abs(value) and name not in (COULOMB, OFFSET, DAMPING) else None
 
 
 def _delay_error(fit: ServoFit, std: float) -> tuple[float, float]:
@@ -298,7 +307,13 @@ def predict_check(fit: ServoFit, log: Log) -> Prediction:
     record = servo_record(log, fit.loop.arm)
     first = next(segments_of(record))
     segment = Segment(record, first.first, len(record.time))
-    return _prediction(fit, log.name, [(segment, fitted_state(fit.loop, fit.values, segment))])
+    state = fitted_state(fit.loop, fit.values, segment)
+    prediction = _prediction(fit, log.name, [(segment, state)])
+    run = fit.loop.simulate(fit.loop.prepare(fit.values, record), segment, state)
+    is_beyond = ~fit.saturated & (run.peak > 1.0 / LIMIT_UNREACHED)
+    if is_beyond.any():  # it shows the unknown limit, not errors of the other values
+        return replace(prediction, unexplained={})
+    return prediction
 
 
 def _prediction(

@@ -16,7 +16,7 @@ import numpy as np
 from strainwave.domain import BoolArray, FloatArray, SearchEnd
 from strainwave.domain.keys import Key, Values
 from strainwave.errors import InvalidInput, NumericalFailure
-from strainwave.identification.position_servo.loop import LoopInputs, ServoLoop
+from strainwave.identification.position_servo.loop import LIMIT, LoopInputs, ServoLoop
 from strainwave.identification.position_servo.records import Segment
 from strainwave.identification.position_servo.states import MIN_STATE_EFFECT
 from strainwave.numerics.linalg import triangular_factor
@@ -25,7 +25,7 @@ from strainwave.numerics.search import Linearised, minimise
 
 _STEP = 1e-3  # of differences, over the scale of an unknown
 _TOLERANCE, _RELATIVE_TOLERANCE = 0.1, 1e-5  # of the cost: a third of a standard deviation
-_MAX_EVALUATIONS = 15  # per pass; the weights change between passes
+_MAX_EVALUATIONS = 25  # per pass; the weights change between passes
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +55,7 @@ class SegmentRows:
     jacobian: FloatArray  # (n_rows, n_unknowns)
     # best change of the state per change of the unknowns, and, last, as it is
     to_state: FloatArray  # (n_states, n_unknowns + 1)
-    saturated: FloatArray  # (n_joints,)
+    saturated: BoolArray  # (n_joints,) whether the output reaches its limit
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -188,7 +188,7 @@ class _Problem:
         index = {key: i for i, key in enumerate(loop.directions[: run.derivatives.shape[-1]])}
         for j, unknown in enumerate(self.unknowns):
             if j in changed:
-                is_limit = unknown.keys[0][0] == "torque_limit"
+                is_limit = unknown.keys[0][0] == LIMIT
                 if is_limit and not run.saturated.any():
                     columns.append(np.zeros_like(run.angle))
                     continue

@@ -15,7 +15,7 @@ from functools import cached_property
 
 import numpy as np
 
-from strainwave.domain import FloatArray, LinearServo, PositionServo
+from strainwave.domain import BoolArray, FloatArray, LinearServo, PositionServo
 from strainwave.domain.arm.base_parameters import MOTOR_INERTIA
 from strainwave.domain.arm.description import ControlLaw
 from strainwave.domain.arm.parameter_table import COULOMB, OFFSET
@@ -68,7 +68,12 @@ class Simulation:
 
     angle: FloatArray  # (n_samples, n_joints) [rad]
     derivatives: FloatArray  # (n_samples, n_joints, n_directions)
-    saturated: FloatArray  # (n_joints,) whether the output reaches its limit
+    peak: FloatArray  # (n_joints,) of the output, over its limit
+
+    @property
+    def saturated(self) -> BoolArray:
+        """Whether the output of each joint reaches its limit."""
+        return np.asarray(self.peak >= _SATURATED)
 
 
 @dataclass(frozen=True)
@@ -166,7 +171,8 @@ class ServoLoop:
         known = self._core_values(values, record)
         step = _RECORDING_STEP
         if self.has_gears:
-            step = min(step, 1.0 / (_STEPS_PER_PERIOD * plant.fastest_resonance(known)))
+            resonance = plant.fastest_resonance(known)  # zero for an impossible arm
+            step = min(step, 1.0 / (_STEPS_PER_PERIOD * max(resonance, 1.0)))
         step = period / int(np.ceil(period / step - 1e-6))
         servo = LinearServo(tuple(self._law(values, i) for i in self.numbers), period, 1.0)
         vector = plant.parameter_vector(known)
@@ -229,8 +235,8 @@ class ServoLoop:
             )
             angle, voltage = runs["motor_angle"][0], runs["voltage"][0]
             derivatives = np.zeros((len(time), n, 0))
-        saturated = np.max(np.abs(voltage), axis=0) >= _SATURATED
-        return Simulation(_between(angle * ratios, position), derivatives, saturated)
+        peak = np.max(np.abs(voltage), axis=0)
+        return Simulation(_between(angle * ratios, position), derivatives, peak)
 
     def first_tick(self, segment: Segment) -> int:
         """The last reading of the servo before a segment."""

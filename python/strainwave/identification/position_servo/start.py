@@ -149,7 +149,10 @@ def _solve(loop: ServoLoop, motions: Sequence[_Motion], delays: Sequence[float])
         zip((column.key for column in arm.base.columns), solution.tolist(), strict=False)
     )
     scale = solution[-1] if table[:, -1].any() else 0.0
-    torques = np.split(np.abs(target - residual), np.cumsum([len(t) for t in targets])[:-1])
+    of_motion = np.ones(table.shape[1], dtype=bool)
+    of_motion[n_body + 3 * n : -1] = False  # unknown gains times errors
+    required = np.abs(table[:, of_motion] @ solution[of_motion])
+    torques = np.split(required, np.cumsum([len(t) for t in targets])[:-1])
     for i in range(n):
         ratio = abs(float(arm.gear_ratios[i]))
         damping, coulomb, offset = solution[n_body + 3 * i : n_body + 3 * i + 3].tolist()

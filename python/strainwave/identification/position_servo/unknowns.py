@@ -26,6 +26,8 @@ from strainwave.identification.position_servo.records import MAX_DELAY
 
 _KD_SHARE_STD = 0.29  # of a uniform distribution on [0, 1]
 _LAG, _LAG_STD = 0.5, 0.5  # of a servo's velocity: from that at the reading to two periods
+# of the dry friction in both directions; the offset replaces gravity where the angle hardly changes
+_ASYMMETRY = 0.5
 _MOTOR_SHARE, _MOTOR_SHARE_STD = 0.5, 0.3  # designs match motor and link within a factor
 _EFFECT_SCALES = dict(zip(GEAR_EFFECTS, (1e-3, 0.05), strict=True))  # [rad], 1
 
@@ -49,7 +51,7 @@ def unknowns_of(loop: ServoLoop, values: Values) -> tuple[list[Unknown], list[Pr
         keys: list[tuple[str, float, float, float]] = [
             (VISCOUS, size, 0.0, np.inf),
             (COULOMB, values[COULOMB, i] + 0.01 * torque, 0.0, np.inf),
-            (OFFSET, 0.02 * torque, -np.inf, np.inf),
+            (OFFSET, 0.1 * torque, -np.inf, np.inf),
             (VELOCITY_LAG, 0.5, -1.0, 3.0),
             (LIMIT, 0.2 * torque, 0.02 * torque, np.inf),
         ]
@@ -74,6 +76,8 @@ def unknowns_of(loop: ServoLoop, values: Values) -> tuple[list[Unknown], list[Pr
             ]
         unknowns += [Unknown(((name, i),), *of) for name, *of in keys]
         priors.append(Prior((((VELOCITY_LAG, i), 1.0),), _LAG, _LAG_STD))
+        asymmetry = _ASYMMETRY * values[COULOMB, i] + 2e-3 * torque
+        priors.append(Prior((((OFFSET, i), 1.0),), 0.0, asymmetry))
     if servo.delay == UNKNOWN:
         together = tuple((DELAY, i) for i in loop.numbers)
         unknowns.append(Unknown(together, 0.003, 0.0, 1.2 * MAX_DELAY))
