@@ -387,7 +387,9 @@ def simulate(rig: ServoRig, goal: FloatArray, *, payload: bool = False) -> Float
     data.qpos[joints] = goal[0]
     per_tick, per_sample = round(rig.period / STEP), round(rig.sample_time / STEP)
     late, settling = round(rig.delay / STEP), round(_SETTLING / STEP)
-    rubs, inertia = rig.gear == "load-friction", rig.links[0].inertia
+    rubs, (mass, x) = rig.gear == "load-friction", rig.payload if payload else (0.0, 0.0)
+    inertia = rig.links[0].inertia + mass * x**2
+    weight = _GRAVITY * (rig.links[0].mass * rig.links[0].centre + mass * x)
     per_goal = round(rig.goal_time / STEP)
     end = (len(goal) * per_goal - 1) // per_sample * per_sample
     present = np.empty((end // per_sample + 1, n))
@@ -404,8 +406,7 @@ def simulate(rig: ServoRig, goal: FloatArray, *, payload: bool = False) -> Float
             torque = kp * (target - angle) - kd * data.qvel[joints]
             data.ctrl[:] = np.clip(torque, -limit, limit)
         if rubs:
-            drive, link = rig.drives[0], rig.links[0]
-            weight = _GRAVITY * link.mass * link.centre
+            drive = rig.drives[0]
             load = inertia * data.qacc[0] + weight * math.cos(data.qpos[0])
             model.dof_frictionloss[0] = drive.coulomb + drive.load_friction * abs(load)
         following = (
