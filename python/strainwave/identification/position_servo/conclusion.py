@@ -230,9 +230,14 @@ def _in_torques(
 def _why_not(fit: ServoFit, key: Key, value: float, std: float, *, is_ratio: bool) -> str | None:
     """Variant of the warning of a parameter that the data do not determine; None if they do."""
     name, joint = key
+    servo, is_limited = fit.loop.servo, fit.saturated[(joint or 1) - 1]
     reasons = {
         "scale": name == KP and is_ratio,
-        "limit": name == LIMIT and not fit.saturated[(joint or 1) - 1],
+        "limit": name == LIMIT and not is_limited,
+        # below the limit, only errors of the clocks tell kd from viscous friction
+        "split": name in (KD, VISCOUS)
+        and not is_limited
+        and servo.damping_gain(joint or 1) is None,
         "back-emf": name == VISCOUS and fit.loop.servo.back_emf_damping(joint or 1) is None,
         "effect": name in GEAR_EFFECTS and fit.misfit > _MAX_EFFECT_MISFIT,
     }
