@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import fields, replace
@@ -237,12 +238,12 @@ class Arm(ArmDescription):
         """Parameters of the links that a payload adds: (n_base,); zero without one."""
         vector = np.zeros(len(self.base_names))
         if payload is not None:
-            names = ((f"link_{name}", self.n_joints) for name in LINK_PARAMETERS)
-            carried = dict(zip(names, payload.parameters, strict=True))
+            names: list[Key] = [(f"link_{name}", self.n_joints) for name in LINK_PARAMETERS]
+            carried: Values = dict(zip(names, payload.parameters, strict=True))
             rows = kind_of(self).standard_rows(self) if self.has_planar_program else {}
             for k, key in enumerate(self.base_names):
                 row = rows.get(key, {key: 1.0})
-                vector[k] = sum(weight * carried.get(part, 0.0) for part, weight in row.items())
+                vector[k] = math.fsum(w * carried.get(part, 0.0) for part, w in row.items())
         return vector
 
     def payload_torques(

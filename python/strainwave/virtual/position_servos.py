@@ -83,7 +83,7 @@ def _record(
         for _ in arm.joints
     ]
     reference = np.column_stack(commands)
-    time = _SAMPLE_TIME * np.arange(len(reference))
+    time: FloatArray = _SAMPLE_TIME * np.arange(len(reference), dtype=np.float64)
     none = np.zeros_like(reference)
     return ServoRecord(experiment.name, time, reference, none, reference, experiment.payload)
 

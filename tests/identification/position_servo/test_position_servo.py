@@ -78,7 +78,7 @@ def virtual_logs(
     values: Values = {**truth, ("velocity_lag", 1): 1.0}
     for experiment in experiments:
         reference = commands(seeds[experiment.name])[:, None]
-        time = SAMPLE_TIME * np.arange(len(reference))
+        time: FloatArray = SAMPLE_TIME * np.arange(len(reference), dtype=np.float64)
         record = ServoRecord(
             experiment.name, time, reference, 0.0 * reference, reference, experiment.payload
         )
@@ -103,7 +103,7 @@ def test_the_law_without_friction_is_the_exact_discrete_one() -> None:
         ("torque_limit", 1): 1e3,
         ("velocity_lag", 1): 1.0,
     }
-    time = PERIOD * np.arange(400)
+    time: FloatArray = PERIOD * np.arange(400, dtype=np.float64)
     reference = np.where(time > 0.1, 0.3, 0.0)[:, None]
     record = ServoRecord("step", time, reference, 0.0 * reference, reference, None)
     assert arm.position_servo is not None

@@ -11,7 +11,8 @@ from strainwave.domain import FloatArray
 from strainwave.domain.arm.parameter_table import COULOMB
 from strainwave.domain.keys import JointNumber, Values
 from strainwave.dynamics.arm import Arm
-from strainwave.identification.position_servo.fit import Guess, ServoFit, fit_segments
+from strainwave.errors import InvalidInput, NumericalFailure
+from strainwave.identification.position_servo.fit import Guess, ServoFit, Unknown, fit_segments
 from strainwave.identification.position_servo.loop import (
     DELAY,
     GEAR_DAMPING,
@@ -46,7 +47,10 @@ def fit_from(
 ) -> ServoFit | None:
     """Fit from values, with states from the measured angles; None if a simulation diverges."""
     states = tuple(initial_state(loop, segment) for segment in segments)
-    sizes = np.maximum(deviations(loop, values, segments, states), floor)
+    try:
+        sizes = np.maximum(deviations(loop, values, segments, states), floor)
+    except (InvalidInput, NumericalFailure):  # of an arm that cannot exist
+        return None
     guess = Guess(values, tuple(segments), states, sizes)
     return fit_segments(loop, guess, *unknowns_of(loop, values), floor, passes=passes)
 
@@ -134,8 +138,10 @@ def choose_gear_effects(fit: ServoFit) -> tuple[ServoFit, FloatArray]:
             if name == "load_friction":
                 changes += _changes(plain, rival, i)
     best = min(effects, key=lambda each: each.cost, default=plain)
-    if best.cost < plain.cost - _DECISIVE_COST:
-        return best, none
+    if best.cost < plain.cost - _DECISIVE_COST:  # others that explain a part are its rivals
+        others = [each for each in effects if each is not best and each.cost < plain.cost]
+        rivals = [_difference(plain.unknowns, best, each) for each in others]
+        return best, np.array(rivals).reshape(-1, len(plain.x))
     return plain, np.array(changes).reshape(-1, len(plain.x))
 
 
@@ -181,9 +187,13 @@ _LEAST_SIZES = dict(zip(GEAR_EFFECTS, (1.5e-4, 5e-3), strict=True))
 _STARTS = dict(zip(GEAR_EFFECTS, (1e-3, 0.05), strict=True))  # [rad], 1
 
 
+def _difference(unknowns: Sequence[Unknown], fit: ServoFit, rival: ServoFit) -> FloatArray:
+    return np.array([rival.values[u.keys[0]] - fit.values[u.keys[0]] for u in unknowns])
+
+
 def _changes(plain: ServoFit, rival: ServoFit, joint: JointNumber) -> list[FloatArray]:
     """Change of the unknowns by a rival, and its wider deviation of Coulomb friction."""
-    change = np.array([rival.values[u.keys[0]] - plain.values[u.keys[0]] for u in plain.unknowns])
+    change = _difference(plain.unknowns, plain, rival)
     table = np.vstack([*(rows.jacobian for rows in rival.rows), rival.prior_rows()])
     norms = np.linalg.norm(table, axis=0)
     norms[norms == 0.0] = np.inf

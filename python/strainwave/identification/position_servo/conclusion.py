@@ -49,6 +49,7 @@ _LEAST_DEVIATION = 0.002  # relative, of torques: as of the whole-arm fit, error
 # [s] between a reading and its torque: a delay in the loop acts as negative damping kp * delay
 _LOOP_TIMING = 5e-5
 _LAG_ERROR = 0.2  # periods of a servo: filters and resolution of its velocity
+_EFFECT_ERROR = 0.1  # relative, of backlash and load friction: the stiff gear stands for contacts
 _LOOSE = 1e-2  # weight of the prior share of kd where the data have to tell kd from friction
 _MIN_SINGULAR_VALUE = 1e-9  # relative; unknowns without effect get infinite standard deviations
 # relative half-width of kd and viscous friction, which differ in the held sample alone unless the
@@ -116,10 +117,15 @@ class _Covariance:
             damping = index.get((KD, i), index[VISCOUS, i])
             timing[damping] = -fit.values[KP, i] * _LOOP_TIMING
             covariance += np.outer(timing, timing)
-            # other unknowns follow a change of the lag, whose law is not that of a real servo
-            lag = index[VELOCITY_LAG, i]
-            change = inverse[:, lag] / inverse[lag, lag] * scale[lag] / scale * _LAG_ERROR
-            covariance += np.outer(change, change)
+            # other unknowns follow changes of what no law describes exactly
+            errors = {
+                (name, i): _EFFECT_ERROR * fit.values.get((name, i), 0.0) for name in GEAR_EFFECTS
+            }
+            for key, error in ({(VELOCITY_LAG, i): _LAG_ERROR} | errors).items():
+                if key in index:
+                    k = index[key]
+                    change = inverse[:, k] / inverse[k, k] * scale[k] / scale * error
+                    covariance += np.outer(change, change)
         return covariance
 
 
@@ -132,6 +138,9 @@ def conclude(fit: ServoFit) -> tuple[tuple[Parameter, ...], tuple[Diagnostic, ..
         scaled = _in_torques(quantity, scale, fit) if of_torque else quantity
         per = "kp" if of_torque and scale is None else None
         name, joint = quantity.key
+        if name == VISCOUS and per is None:
+            back_emf = fit.loop.servo.back_emf_damping(joint or 1) or 0.0
+            scaled = replace(scaled, value=scaled.value - back_emf)
         matrix = covariance.loose if name in (KD, VISCOUS) else covariance.total
         variance = float(scaled.gradient @ matrix @ scaled.gradient)
         if of_torque and not (name == KP and scale is None):
@@ -175,8 +184,7 @@ def _quantities(fit: ServoFit) -> Iterator[_Quantity]:
         damping = "N m s/rad"
         both = unit((KD, i), (VISCOUS, i))
         yield _Quantity((DAMPING, i), kd + viscous, both, damping)
-        back_emf = servo.back_emf_damping(i) or 0.0
-        yield _Quantity((VISCOUS, i), viscous - back_emf, unit((VISCOUS, i)), damping)
+        yield _Quantity((VISCOUS, i), viscous, unit((VISCOUS, i)), damping)
         if (KD, i) in index:
             yield _Quantity((KD, i), kd, unit((KD, i)), damping)
         if servo.gain(i) is None:
@@ -231,14 +239,14 @@ def _why_not(fit: ServoFit, key: Key, value: float, std: float, *, is_ratio: boo
     """Variant of the warning of a parameter that the data do not determine; None if they do."""
     name, joint = key
     servo, is_limited = fit.loop.servo, fit.saturated[(joint or 1) - 1]
+    back_emf = servo.back_emf_damping(joint or 1)
+    is_open = name in (KD, VISCOUS) and servo.damping_gain(joint or 1) is None
     reasons = {
         "scale": name == KP and is_ratio,
         "limit": name == LIMIT and not is_limited,
         # below the limit, only errors of the clocks tell kd from viscous friction
-        "split": name in (KD, VISCOUS)
-        and not is_limited
-        and servo.damping_gain(joint or 1) is None,
-        "back-emf": name == VISCOUS and fit.loop.servo.back_emf_damping(joint or 1) is None,
+        "split": is_open and not is_limited,
+        "back-emf": name == VISCOUS and back_emf != 0.0 and (back_emf is None or is_ratio),
         "effect": name in GEAR_EFFECTS and fit.misfit > _MAX_EFFECT_MISFIT,
     }
     for reason, holds in reasons.items():
@@ -257,9 +265,13 @@ def _delay_error(fit: ServoFit, std: float) -> tuple[float, float]:
     Readings tell the delay of a held command up to the common period of log and servo.
     """
     half = CI95_STDS * std
-    if fit.loop.hold is ReferenceHold.HELD:
-        period = fit.loop.servo.period
-        width = max(common_period(period, s.record.sample_time) for s in fit.segments)
+    period = fit.loop.servo.period
+    width = max(common_period(period, s.record.sample_time) for s in fit.segments)
+    is_faster = all(s.record.sample_time <= 1.01 * period for s in fit.segments)
+    if fit.loop.hold is not ReferenceHold.HELD and is_faster:
+        # all readings of the servo meet samples of the log, held or not
+        std, half = float(np.hypot(std, width / np.sqrt(3.0))), float(np.hypot(half, width))
+    elif fit.loop.hold is ReferenceHold.HELD:
         std = float(np.hypot(std, width / np.sqrt(12.0)))
         half = float(np.hypot(half, _UNIFORM_HALF_WIDTH * width))
     return std, half

@@ -94,7 +94,7 @@ class ServoFit:
     @property
     def saturated(self) -> BoolArray:
         """Whether the output of each joint reaches its limit in any segment."""
-        return np.any([rows.saturated for rows in self.rows], axis=0)
+        return np.asarray(np.any([rows.saturated for rows in self.rows], axis=0))
 
     def as_guess(self) -> Guess:
         """Start of another fit of the same segments."""
@@ -160,7 +160,7 @@ class _Problem:
         values, loop = self.values(x), self.loop
         records = {id(s.record): s.record for s in self.segments}
         base = {k: loop.prepare(values, record) for k, record in records.items()}
-        changed: dict[int, dict[str, LoopInputs]] = {}
+        changed: dict[int, dict[int, LoopInputs]] = {}
         steps = {}
         for j, (unknown, value) in enumerate(zip(self.unknowns, x.tolist(), strict=True)):
             if loop.row(unknown.keys[0], next(iter(base.values()))) is None:
@@ -279,7 +279,7 @@ def fit_segments(
         )
         if minimum is None:
             return None
-        x = problem.at
+        x, end = problem.at, minimum.end
         states = tuple(
             state + rows.to_state[:, -1]
             for state, rows in zip(problem.states, problem.rows, strict=True)
@@ -299,5 +299,5 @@ def fit_segments(
         tuple(problem.rows),
         deviations,
         resolution,
-        minimum.end,
+        end,
     )

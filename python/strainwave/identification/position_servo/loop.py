@@ -159,7 +159,7 @@ class ServoLoop:
             replace(joint, encoder_counts=None, torque_per_volt=float(limit * abs(ratio)))
             for joint, limit, ratio in zip(self.arm.joints, limits, ratios, strict=True)
         )
-        ticks = period * np.arange(int(record.time[-1] / period + 1e-6) + 2)
+        ticks: FloatArray = period * np.arange(record.time[-1] / period + 2.0, dtype=np.float64)
         output = np.empty((len(ticks), self.arm.n_joints))
         width = common_period(period, record.sample_time)
         for i in range(self.arm.n_joints):

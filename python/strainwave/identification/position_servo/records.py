@@ -121,7 +121,7 @@ def servo_record(log: Log, arm: Arm) -> ServoRecord:
 
     return ServoRecord(
         name=log.name,
-        time=log.sample_time * np.arange(count),
+        time=np.asarray(log.sample_time * np.arange(count), dtype=np.float64),
         reference=columns("ref"),
         feed_forward=columns("u"),
         angle=np.asarray(arm.links_of(angle)),

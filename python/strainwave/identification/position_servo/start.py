@@ -18,6 +18,7 @@ import numpy as np
 from strainwave.domain import FloatArray
 from strainwave.domain.arm.parameter_table import COULOMB, OFFSET
 from strainwave.domain.keys import Values
+from strainwave.domain.results.estimates import physical_range
 from strainwave.identification.position_servo.loop import (
     DELAY,
     KD,
@@ -36,6 +37,7 @@ _MAX_ROWS = 20_000  # of a regression
 _PASSES = 8  # of the least absolute residual
 _LEAST_SHARE = 1e-3  # of the largest residual: smoothing of absolute values
 _KD_SHARE = 0.5  # of the servo in the damping, which a start does not know
+_LEAST_INERTIA = 1e-2  # of a positive base parameter, over the largest of its unit
 _LIMIT_MARGIN = 1.05  # a limit above all torques, where none is reached
 
 
@@ -148,6 +150,10 @@ def _solve(loop: ServoLoop, motions: Sequence[_Motion], delays: Sequence[float])
     values: Values = dict(
         zip((column.key for column in arm.base.columns), solution.tolist(), strict=False)
     )
+    for column in arm.base.columns:  # errors of a regression can make an arm that cannot exist
+        if physical_range(column.name) != "any":
+            alike = [abs(values[c.key]) for c in arm.base.columns if c.unit == column.unit]
+            values[column.key] = max(values[column.key], _LEAST_INERTIA * max(alike))
     scale = solution[-1] if table[:, -1].any() else 0.0
     of_motion = np.ones(table.shape[1], dtype=bool)
     of_motion[n_body + 3 * n : -1] = False  # unknown gains times errors

@@ -60,4 +60,6 @@ def _explained(
     residual = run.angle - segment.angle
     of_state = run.derivatives[..., -loop.n_states :].reshape(residual.size, -1)
     error = np.linalg.lstsq(of_state, residual.ravel(), rcond=MIN_STATE_EFFECT)[0]
-    return residual - (of_state @ error).reshape(residual.shape), error
+    return residual - (of_state @ error).reshape(residual.shape), np.asarray(
+        error, dtype=np.float64
+    )

@@ -7,6 +7,7 @@ import numpy as np
 from strainwave.domain.arm.description import UNKNOWN
 from strainwave.domain.arm.parameter_table import COULOMB, OFFSET
 from strainwave.domain.keys import Key, Values
+from strainwave.domain.results.estimates import physical_range
 from strainwave.identification.position_servo.fit import Prior, Unknown
 from strainwave.identification.position_servo.loop import (
     DELAY,
@@ -24,6 +25,7 @@ from strainwave.identification.position_servo.loop import (
 )
 from strainwave.identification.position_servo.records import MAX_DELAY
 
+_LEAST_SHARE = 1e-6  # of a positive base parameter, over the largest of its unit
 _KD_SHARE_STD = 0.29  # of a uniform distribution on [0, 1]
 _LAG_STD = 0.5  # of a servo's velocity, in periods: that of the law is at the reading
 # of the dry friction in both directions; the offset replaces gravity where the angle hardly changes
@@ -42,7 +44,8 @@ def unknowns_of(loop: ServoLoop, values: Values) -> tuple[list[Unknown], list[Pr
         size = max(
             abs(values[other.key]) for other in loop.arm.base.columns if other.unit == column.unit
         )
-        unknowns.append(Unknown((column.key,), size + np.finfo(float).tiny))
+        least = -np.inf if physical_range(column.name) == "any" else _LEAST_SHARE * size
+        unknowns.append(Unknown((column.key,), size + np.finfo(float).tiny, least))
     for i in loop.numbers:
         torque = values[LIMIT, i]
         kd, viscous = values[KD, i], values[VISCOUS, i]
@@ -58,7 +61,16 @@ def unknowns_of(loop: ServoLoop, values: Values) -> tuple[list[Unknown], list[Pr
         if servo.damping_gain(i) is None or servo.gain(1) is None:
             keys.append((KD, size, 0.0, np.inf))
             share: tuple[tuple[Key, float], ...] = (((KD, i), 1.0), ((VISCOUS, i), -1.0))
-            priors.append(Prior(share, 0.0, 2.0 * _KD_SHARE_STD * damping + 1e-3 * torque))
+            priors.append(
+                Prior(
+                    share,
+                    0.0,
+                    2.0  # of a positive base parameter, over the largest of its unit
+                    * _KD_SHARE_STD
+                    * damping
+                    + 1e-3 * torque,
+                )
+            )
         if i > 1 and servo.gain(i) is None:
             keys.append((KP, 0.3 * values[KP, i], 0.01 * values[KP, i], np.inf))
         if isinstance(servo.delay, tuple) and servo.delay_of(i) is None:

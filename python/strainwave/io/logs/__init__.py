@@ -404,7 +404,7 @@ def _check_constants(
                 f"{remedy}"
             )
         raise InvalidInput(problem, where=str(path), remedy=remedy)
-    kinds = ("u", "torque", "tau_l")
+    kinds: tuple[str, ...] = ("u", "torque", "tau_l")
     if study.arm.position_servo is not None:
         kinds = ("ref",)
         _check_commands(channels, study, path)

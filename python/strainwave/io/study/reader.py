@@ -216,16 +216,14 @@ class Reader:
                 remedy=fault.remedy,
             )
         servo = self._servo(self._one(document, "servo"))
-        velocity, position = (
-            servo if isinstance(servo, record) else None for record in (Servo, PositionServo)
-        )
+        velocity = servo if isinstance(servo, Servo) else None
         description = kind.construct(table, described, velocity)
         coupling = self._coupling(kind, self._one(document, "transmission"))
         return dataclasses.replace(
             description,
             coupling=coupling or description.coupling,
             urdf=Urdf(file, tuple(joint.prior for joint in urdf), held) if file else None,
-            position_servo=position,
+            position_servo=servo if isinstance(servo, PositionServo) else None,
         )
 
     def _servo(self, table: Mapping[str, Any] | None) -> Servo | PositionServo | None:
@@ -234,7 +232,9 @@ class Reader:
         name = table.get("kind")
         if name is not None:
             self._check_registered([name], ["pi-velocity", "position"], name, "servo", None, "kind")
-        return self.record(PositionServo if name == "position" else Servo, table, "servo")
+        if name == "position":
+            return self.record(PositionServo, table, "servo")
+        return self.record(Servo, table, "servo")
 
     def _check_names(self, joints: Sequence[Joint]) -> None:
         for index, joint in enumerate(joints):
