@@ -238,7 +238,8 @@ def _validate_models(results: StageResults) -> Validation:
     has_servo = results.study.arm.position_servo is not None
     drives = [check for check in results.checks if check.of_drive or has_servo]
     has_motion = any(math.isfinite(fit) for check in drives for fit in check.fit_percent.values())
-    is_missed = any(check in drives and check.unexplained for check in _decisive_checks(results))
+    decisive = _decisive_checks(results)
+    is_missed = any((check.of_drive or has_servo) and check.unexplained for check in decisive)
     return Validation(
         rigid=has_motion and not is_missed,
         elastic=min(effects, default=0.0) >= MIN_STIFFNESS_EFFECT

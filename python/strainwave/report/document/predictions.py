@@ -83,6 +83,7 @@ def unit_of(channel: str, joints: Sequence[Joint] = ()) -> str:
 _TITLES = {
     "u": "voltage",
     "torque": "motor torque",
+    "theta_m": "angle",
     "omega_m": "motor velocity",
     **{kind: sensor.measurand for sensor in all_types() for kind in sensor.channel_kinds},
 }
@@ -100,7 +101,8 @@ def recordings(identification: Identification, limit: int) -> Iterator[Block]:
             f"{len(log)} samples, {duration:.4g} s, sample time {1e3 * log.sample_time:.4g} ms."
         )
         label = f"{log.name}: {log.experiment.use} record"
-        figure = recording_figure(log, joints, limit)
+        has_angles = identification.study.arm.position_servo is not None
+        figure = recording_figure(log, joints, limit, commands_angles=has_angles)
         logs[title].append(Plot(FigureName("record", experiment=log.name), label, figure, caption))
     for title, plots in logs.items():
         if identification.decisions and plots:
@@ -109,17 +111,21 @@ def recordings(identification: Identification, limit: int) -> Iterator[Block]:
             yield from plots
 
 
-def recording_figure(log: Log, joints: Sequence[Joint], limit: int) -> Figure:
+def recording_figure(
+    log: Log, joints: Sequence[Joint], limit: int, *, commands_angles: bool = False
+) -> Figure:
     """One panel for each physical quantity, one line for each channel.
 
     Lines keep the minimum and the maximum of each pixel column. A motor velocity that is not
-    logged is the mean slope of the encoder angle between the points drawn.
+    logged is the mean slope of the encoder angle between the points drawn. With `commands_angles`,
+    the references are angles of joints, beside the measured ones.
     """
+    of_reference = "theta_m" if commands_angles else "omega_m"
     panels: dict[str, list[Series]] = {}
-    for series in _channel_series(log, limit):
+    for series in _channel_series(log, limit, angles=commands_angles):
         kind, number = channel_parts(series.name)
-        unit = unit_of(f"omega_m{number}" if kind == "ref" else series.name, joints)
-        title = _TITLES["omega_m" if kind == "ref" else kind]
+        unit = unit_of(f"{of_reference}{number}" if kind == "ref" else series.name, joints)
+        title = _TITLES[of_reference if kind == "ref" else kind]
         panels.setdefault(f"{title} [{unit}]", []).append(series)
     order = list(dict.fromkeys(_TITLES.values()))
     titles = sorted(panels, key=lambda title: order.index(title.rsplit(" [", 1)[0]))
@@ -127,10 +133,10 @@ def recording_figure(log: Log, joints: Sequence[Joint], limit: int) -> Figure:
     return Figure(Axis("time [s]"), stack)
 
 
-def _channel_series(log: Log, limit: int) -> Iterator[Series]:
+def _channel_series(log: Log, limit: int, *, angles: bool) -> Iterator[Series]:
     for name, values in log.channels.items():
         kind, number = channel_parts(name)
-        if kind == "theta_m":
+        if kind == "theta_m" and not angles:
             if f"omega_m{number}" not in log.channels:
                 # the mean between evenly spaced rows averages the encoder's quantisation
                 ends = np.linspace(0, len(values) - 1, max(2, limit // 2)).astype(np.intp)
