@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -18,6 +19,7 @@ from strainwave.domain import (
     PositionServo,
     Study,
 )
+from strainwave.domain.arm.description import UNKNOWN, Unknown
 from strainwave.domain.arm.kinds import single_joint
 from strainwave.domain.keys import FloatArray, Key, Values
 from strainwave.dynamics.arm import Arm
@@ -48,8 +50,8 @@ TRUTH: Mapping[Key, float] = {
 LOAD = Payload(0.15, (0.2, 0.0, 0.0))
 
 
-def servo_arm(kp: float | str = KP, kd: float | str = "unknown") -> ArmDescription:
-    servo = PositionServo("position", PERIOD, (kp,), (kd,))  # type: ignore[arg-type]
+def servo_arm(kp: float | Unknown = KP, kd: float | Unknown = UNKNOWN) -> ArmDescription:
+    servo = PositionServo("position", PERIOD, (kp,), (kd,))
     arm = single_joint(Joint("rigid", 1.0, encoder_counts=COUNTS, effects=()), 9.81)
     return replace(arm, position_servo=servo)
 
@@ -74,7 +76,8 @@ def virtual_logs(
         for name in seeds
     )
     study, data = Study(arm=arm, experiments=experiments), {}
-    loop = ServoLoop(Arm.of(servo_arm()), servo_arm().position_servo, ReferenceHold.HELD)  # type: ignore[arg-type]
+    assert arm.position_servo is not None
+    loop = ServoLoop(Arm.of(arm), arm.position_servo, ReferenceHold.HELD)
     values: Values = {**truth, ("velocity_lag", 1): 1.0}
     for experiment in experiments:
         reference = commands(seeds[experiment.name])[:, None]
@@ -123,7 +126,7 @@ def test_the_law_without_friction_is_the_exact_discrete_one() -> None:
 @pytest.mark.parametrize("known", ["kp", "load", "nothing"])
 def test_recovers_a_servo(known: str) -> None:
     seeds = {"one": 1, "two": 2, "loaded": 3} if known == "load" else {"one": 1, "two": 2}
-    study, data = virtual_logs(servo_arm(KP if known == "kp" else "unknown"), seeds)
+    study, data = virtual_logs(servo_arm(KP if known == "kp" else UNKNOWN), seeds)
     result = sw.identify(study, data=data)
     assert result.verdict.status == "determined"
     for (name, joint), true in TRUTH.items():
@@ -146,7 +149,8 @@ def test_recovers_a_servo(known: str) -> None:
 def test_a_known_kd_separates_friction_from_it() -> None:
     """Without steps the output reaches no limit, where the two differ."""
     small = dict(TRUTH) | {("torque_limit", 1): 50.0}
-    for kd, is_known in ((0.15, True), ("unknown", False)):
+    cases: list[tuple[float | Unknown, bool]] = [(0.15, True), (UNKNOWN, False)]
+    for kd, is_known in cases:
         study, data = virtual_logs(servo_arm(KP, kd), {"one": 1, "two": 2}, small)
         result = sw.identify(study, data=data)
         viscous = result["motor_viscous_friction", 1]
@@ -231,7 +235,6 @@ def test_common_periods_of_clocks() -> None:
 @pytest.mark.parametrize("rig", [0, 3])
 def test_shared_servos_are_within_their_intervals(rig: int, shared_data: Path) -> None:
     """Servos of an independent simulator, with soft friction: within three standard deviations."""
-    import json
 
     from strainwave.io.parameters import read_parameters  # noqa: F401
 
@@ -247,3 +250,22 @@ def test_shared_servos_are_within_their_intervals(rig: int, shared_data: Path) -
             error = abs(parameter.value - truth[parameter.name]) / parameter.std
             assert error < 3.0, (parameter.name, error)
     assert checked >= 8
+
+
+def test_recovers_the_gear_of_an_elastic_joint() -> None:
+    truth = {
+        ("motor_share", 1): 0.4,
+        ("gear_stiffness", 1): 60.0,
+        ("gear_damping", 1): 0.02,
+    }
+    elastic = servo_arm().with_joint(1, spring="linear")
+    study, data = virtual_logs(elastic, {"one": 1, "two": 2}, dict(TRUTH) | truth)
+    result = sw.identify(study, data=data)
+    inertia = TRUTH["inertia", 1]
+    for name, true in (
+        ("gear_stiffness", 60.0),
+        ("motor_inertia", 0.4 * inertia),
+        ("link_inertia", 0.6 * inertia),
+    ):
+        # a simulation with the same law, so that the resolution of the angles alone is in the way
+        assert result[name, 1].value == pytest.approx(true, rel=0.02)

@@ -129,6 +129,9 @@ def _requirements(results: StageResults) -> tuple[list[Stage], list[Key]]:
     study = results.study
     arm, base = study.arm, base_parameters(study.arm)
     elastic = [number for number, joint in enumerate(arm.joints, start=1) if joint.elastic]
+    gears: list[Key] = [(STIFFNESS, number) for number in elastic]
+    if arm.position_servo is not None:
+        elastic = []  # all stages are one fit
     has_motion = any(e.use == "motion" for e in study.experiments)
     is_independent = is_uncoupled(arm) and bool(elastic)
     has_decoupled = bool(elastic) and "decoupled" in results.stages
@@ -140,7 +143,8 @@ def _requirements(results: StageResults) -> tuple[list[Stage], list[Key]]:
     for number, joint in enumerate(arm.joints, start=1):
         if not joint.torque_at_link:  # a sensor behind the gear does not show the friction
             keys += [(viscous, number), ("motor_coulomb_friction", number)]
-    has_whole_arm = "tuned" in results.stages and len(elastic) == arm.n_joints
+    keys += gears if arm.position_servo is not None else []
+    has_whole_arm = "tuned" in results.stages and bool(elastic) and len(elastic) == arm.n_joints
     is_excited = any(e.use in ("frequency", "sweep") for e in study.experiments)
     if has_decoupled and (is_excited or not has_whole_arm):
         stages.append("decoupled")

@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from strainwave.domain import FloatArray, Log
+from strainwave.domain.arm.gear_laws import RIGID
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import NotIdentifiable, NumericalFailure
 from strainwave.identification.position_servo.candidates import (
@@ -20,6 +21,7 @@ from strainwave.identification.position_servo.candidates import (
     choose_gear_effects,
     choose_hold,
     choose_limits,
+    choose_stiffness,
     fit_from,
 )
 from strainwave.identification.position_servo.fit import ServoFit
@@ -33,7 +35,7 @@ from strainwave.identification.position_servo.records import (
 )
 from strainwave.identification.position_servo.start import linear_starts
 
-_MAX_STARTS = 3  # delays from which the fit is tried
+_MAX_STARTS = 2  # delays from which the fit is tried
 _COARSE = 3  # one in so many segments takes part in the search of starts
 _MIN_COUNTS = 8  # of the encoder, that a motion must cover
 _DEFAULT_COUNTS = 4096.0  # per turn, of an encoder whose resolution is not given
@@ -46,18 +48,22 @@ def fit_position_servos(logs: Sequence[Log], arm: Arm) -> ServoFit:
     """
     servo = arm.position_servo
     assert servo is not None
+    elastic = [i for i, joint in enumerate(arm.joints, start=1) if joint.elastic]
+    for i in elastic:  # their stiffness is added to a fit without
+        arm = Arm.of(arm.with_joint(i, spring=RIGID, effects=()))
     records = [servo_record(log, arm) for log in logs]
     segments = tuple(segment for record in records for segment in segments_of(record))
     resolution = resolutions(arm, records)
     _check_motion(records, segments, resolution)
     floor = float(np.max(resolution)) / np.sqrt(12.0)
-    loop = ServoLoop(arm, servo, ReferenceHold.HELD)
     coarse = segments[::_COARSE] if len(segments) >= 4 * _COARSE else segments
     fits = []
-    for start in linear_starts(loop, records)[:_MAX_STARTS]:
-        calm = calm_segments(loop, start.values, coarse, floor)
-        fit = fit_from(loop, start.values, calm, floor, passes=2)
-        fits += [fit] if fit is not None else []
+    for hold in (ReferenceHold.HELD, ReferenceHold.LINEAR):
+        loop = ServoLoop(arm, servo, hold)
+        for start in linear_starts(loop, records)[:_MAX_STARTS]:
+            calm = calm_segments(loop, start.values, coarse, floor)
+            fit = fit_from(loop, start.values, calm, floor, passes=2)
+            fits += [fit] if fit is not None else []
     starts = sorted(fits, key=lambda fit: fit.cost / sum(s.angle.size for s in fit.segments))
     best = choose_limits(starts[0], coarse) if starts else None
     if best is None:
@@ -65,18 +71,19 @@ def fit_position_servos(logs: Sequence[Log], arm: Arm) -> ServoFit:
             "no simulation of the servos follows the records: check the units and signs of the "
             "commanded and measured angles, and gear_ratio"
         )
+    if elastic:
+        best = choose_stiffness(best, elastic) or best
     best, by_hold = choose_hold(best)
-    n_unknowns = len(best.x)
+    plain = best
     best, by_gears = choose_gear_effects(best)
     final = fit_from(best.loop, best.values, segments, floor, passes=3)
     if final is None:
         raise NumericalFailure("the simulation of the servos diverges in some segment")
     changes = np.zeros((len(by_hold) + len(by_gears), len(final.x)))
     keys = [unknown.keys for unknown in final.unknowns]
-    kept = [keys.index(unknown.keys) for unknown in fits[0].unknowns]
-    if len(kept) == n_unknowns:
-        changes[:, kept] = np.vstack([by_hold, by_gears[:, :n_unknowns]])
-    return replace(final, rival_changes=changes)
+    kept = [keys.index(unknown.keys) for unknown in plain.unknowns]
+    changes[:, kept] = np.vstack([by_hold, by_gears])
+    return replace(final, rival_changes=changes, has_rival_effect=best.has_rival_effect)
 
 
 def resolutions(arm: Arm, records: Sequence[ServoRecord]) -> FloatArray:

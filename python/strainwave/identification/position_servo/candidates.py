@@ -38,6 +38,8 @@ _DECISIVE_COST = 40.0
 # resolution do not tell courses whose root mean squares differ by less than 0.5 %.
 _PLAUSIBLE_COST = 0.01
 _GEAR_HZ = 100.0  # resonance of a gear that is stiff beside a servo, which is below 20 Hz
+_RESONANCES_HZ = (8.0, 16.0, 32.0, 64.0)  # where the search of a stiffness starts
+_MOTOR_SHARE = 0.5  # of inertias, where it starts
 _GEAR_DAMPING_RATIO = 0.02
 _MAX_JOINTS_WITH_EFFECTS = 1  # with couplings, effects of one joint hide in those of others
 
@@ -97,19 +99,27 @@ def choose_limits(fit: ServoFit, segments: Sequence[Segment]) -> ServoFit | None
     return best
 
 
-def choose_hold(held: ServoFit) -> tuple[ServoFit, FloatArray]:
+def choose_hold(start: ServoFit) -> tuple[ServoFit, FloatArray]:
     """The fit with the course of commands that the residuals show, and changes by rivals.
 
     Logs usually hold the commands as they were sent. The changes are (n_rivals, n_unknowns).
     """
-    fits = [held]
-    half = 0.5 * float(np.mean([segment.record.sample_time for segment in held.segments]))
-    later = {k: min(v + half, MAX_DELAY) for k, v in held.values.items() if k[0] == DELAY}
-    for hold in (ReferenceHold.LINEAR, ReferenceHold.SMOOTH):
-        loop = replace(held.loop, hold=hold)
-        fit = fit_from(loop, held.values | later, held.segments, held.resolution, passes=2)
-        fits += [fit] if fit is not None else []
-    rows = sum(segment.angle.size for segment in held.segments)
+    half = 0.5 * float(np.mean([segment.record.sample_time for segment in start.segments]))
+    lead = {hold: half * (hold is not ReferenceHold.HELD) for hold in ReferenceHold}
+    fits = []
+    for hold in ReferenceHold:
+        loop, shift = replace(start.loop, hold=hold), lead[hold] - lead[start.loop.hold]
+        delays = {
+            key: min(max(value + shift, 0.0), MAX_DELAY)
+            for key, value in start.values.items()
+            if key[0] == DELAY and loop.servo.delay_of(key[1] or 1) is None
+        }
+        fit = start
+        if hold is not start.loop.hold:
+            values = start.values | delays
+            fit = fit_from(loop, values, start.segments, start.resolution, passes=2) or start
+        fits += [fit] if fit is not start or hold is start.loop.hold else []
+    rows = sum(segment.angle.size for segment in start.segments)
     most = min(fit.cost for fit in fits) + _PLAUSIBLE_COST * rows
     best, *rivals = [fit for fit in fits if fit.cost <= most]
     return best, np.array([rival.x - best.x for rival in rivals]).reshape(-1, len(best.x))
@@ -127,7 +137,10 @@ def choose_gear_effects(fit: ServoFit) -> tuple[ServoFit, FloatArray]:
     plain, effects, changes = fit, list[ServoFit](), list[FloatArray]()
     for i in plain.loop.numbers:
         for name in _tried_effects(plain.loop.arm, i):
-            loop, values = _with_gear(plain, i, name)
+            loop, values = _with_gears(plain, [i], _GEAR_HZ)
+            arm = loop.arm.with_joint(i, effects=(name.replace("_", "-"),))
+            loop = replace(loop, arm=Arm.of(arm), has_stiff_gears=True)
+            values |= {(name, i): _STARTS[name]}
             rival = fit_from(loop, values, plain.segments, plain.resolution, passes=2)
             if rival is None:
                 continue
@@ -141,6 +154,7 @@ def choose_gear_effects(fit: ServoFit) -> tuple[ServoFit, FloatArray]:
     if best.cost < plain.cost - _DECISIVE_COST:  # others that explain a part are its rivals
         others = [each for each in effects if each is not best and each.cost < plain.cost]
         rivals = [_difference(plain.unknowns, best, each) for each in others]
+        best = replace(best, has_rival_effect=bool(rivals))
         return best, np.array(rivals).reshape(-1, len(plain.x))
     return plain, np.array(changes).reshape(-1, len(plain.x))
 
@@ -160,26 +174,37 @@ def _tried_effects(arm: Arm, joint: JointNumber) -> Iterator[str]:
             yield name
 
 
-def _with_gear(fit: ServoFit, joint: JointNumber, effect: str) -> tuple[ServoLoop, Values]:
-    """The loop with a stiff gear in one joint, which has an effect, and its start."""
+def choose_stiffness(fit: ServoFit, joints: Sequence[JointNumber]) -> ServoFit | None:
+    """The fit with elastic gears in joints, from the resonance with the least residuals."""
+    rivals = []
+    for hz in _RESONANCES_HZ:
+        loop, values = _with_gears(fit, joints, hz)
+        rival = fit_from(loop, values, fit.segments, fit.resolution, passes=2)
+        rivals += [rival] if rival is not None else []
+    return min(rivals, key=lambda each: each.cost, default=None)
+
+
+def _with_gears(
+    fit: ServoFit, joints: Sequence[JointNumber], hz: float
+) -> tuple[ServoLoop, Values]:
+    """The loop with elastic gears of a resonance [Hz] in joints, and its start."""
     arm, values = fit.loop.arm, dict(fit.values)
-    effects = (effect.replace("_", "-"),)
-    geared = arm.with_joint(joint, spring="linear", effects=effects)
-    omega, share = 2.0 * np.pi * _GEAR_HZ, 0.5
-    ratio = float(arm.gear_ratios[joint - 1])
-    particular = arm.base.particular(np.full(arm.n_joints, share))
+    omega, n_links = 2.0 * np.pi * hz, len(arm.base.links)
+    particular = arm.base.particular(np.full(arm.n_joints, _MOTOR_SHARE))
     body = particular @ np.array([values[column.key] for column in arm.base.columns])
-    link = float(arm.link_inertias(body[: len(arm.base.links)])[joint - 1])
-    motor = float(body[len(arm.base.links) + joint - 1]) / ratio**2
-    reduced = link * motor / (link + motor) if motor > 0.0 else link
-    stiffness = reduced * omega**2
-    values |= {
-        (MOTOR_SHARE, joint): share,
-        (STIFFNESS, joint): stiffness,
-        (GEAR_DAMPING, joint): 2.0 * _GEAR_DAMPING_RATIO * stiffness / omega,
-        (effect, joint): _STARTS[effect],
-    }
-    return replace(fit.loop, arm=Arm.of(geared), has_stiff_gears=True), values
+    links = arm.link_inertias(body[:n_links])
+    motors = body[n_links:] / arm.gear_ratios**2
+    geared = arm
+    for joint in joints:
+        link, motor = float(links[joint - 1]), float(motors[joint - 1])
+        stiffness = (link * motor / (link + motor) if motor > 0.0 else link) * omega**2
+        values |= {
+            (MOTOR_SHARE, joint): _MOTOR_SHARE,
+            (STIFFNESS, joint): stiffness,
+            (GEAR_DAMPING, joint): 2.0 * _GEAR_DAMPING_RATIO * stiffness / omega,
+        }
+        geared = Arm.of(geared.with_joint(joint, spring="linear", effects=()))
+    return replace(fit.loop, arm=geared), values
 
 
 # sizes below which an effect is none: a tenth of a count of 12 bits, and of usual friction of teeth

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,19 +17,24 @@ from strainwave.domain import (
     Prediction,
     RigidModel,
 )
+from strainwave.domain.arm.base_parameters import MOTOR_INERTIA
+from strainwave.domain.arm.combinations import LINK_INERTIA
 from strainwave.domain.arm.description import unit_in
 from strainwave.domain.arm.parameter_table import COULOMB, OFFSET
-from strainwave.domain.keys import Key
+from strainwave.domain.keys import JointNumber, Key
 from strainwave.domain.results.distributions import CI95_STDS
 from strainwave.identification.position_servo.candidates import LIMIT_UNREACHED
 from strainwave.identification.position_servo.fit import ServoFit
 from strainwave.identification.position_servo.loop import (
     DELAY,
+    GEAR_DAMPING,
     GEAR_EFFECTS,
     KD,
     KP,
     LIMIT,
+    MOTOR_SHARE,
     SCALE,
+    STIFFNESS,
     VELOCITY_LAG,
     VISCOUS,
 )
@@ -59,6 +64,7 @@ _MAX_EFFECT_MISFIT = 1.3  # beyond which an effect stands in for another
 _UNIFORM_HALF_WIDTH = 0.475  # of the 95 % interval, over the width of a uniform distribution
 _MAX_CHECK_ERROR = 0.1  # rms, over the motion: errors below are accepted whatever their cause
 
+_GEAR_UNITS = {STIFFNESS: "N m/rad", GEAR_DAMPING: "N m s/rad"}
 _PER_GAIN = {
     "kg m^2": "s^2",
     "kg m": "s^2/m",
@@ -190,12 +196,36 @@ def _quantities(fit: ServoFit) -> Iterator[_Quantity]:
         if servo.gain(i) is None:
             yield _Quantity((KP, i), values[KP, i], unit((KP, i)), "N m/rad")
         yield _Quantity((LIMIT, i), values[LIMIT, i], unit((LIMIT, i)), "N m")
+        for name, size_unit in _GEAR_UNITS.items():
+            if (name, i) in index:
+                yield _Quantity((name, i), values[name, i], unit((name, i)), size_unit)
+        if (MOTOR_SHARE, i) in index and not loop.has_stiff_gears:
+            yield from _separate_inertias(fit, index, i)
         for name in GEAR_EFFECTS:
             if (name, i) in index:
                 size = _Quantity((name, i), values[name, i], unit((name, i)), "1")
                 yield replace(size, unit=unit_in(loop.arm, size.key), is_torque=False)
         if (DELAY, i) in index:
             yield _Quantity((DELAY, i), values[DELAY, i], unit((DELAY, i)), "s", is_torque=False)
+
+
+def _separate_inertias(
+    fit: ServoFit, index: Mapping[Key, int], joint: JointNumber
+) -> Iterator[_Quantity]:
+    """Inertias of motor and link, which an elastic gear separates."""
+    loop, base = fit.loop, fit.loop.arm.base
+    inputs = loop.prepare(fit.values, fit.segments[0].record)
+    for key in ((MOTOR_INERTIA, joint), (LINK_INERTIA, joint)):
+        if key not in base.links and key[0] != MOTOR_INERTIA:
+            continue
+        value, gradient = 0.0, np.zeros(len(fit.unknowns))
+        for column in base.columns:
+            weight = (loop.row(column.key, inputs) or {}).get(key, 0.0)
+            value += weight * fit.values[column.key]
+            gradient[index[column.key]] = weight
+        share: Key = (MOTOR_SHARE, joint)
+        gradient[index[share]] = (loop.row(share, inputs) or {}).get(key, 0.0)
+        yield _Quantity(key, value, gradient, unit_in(loop.arm, key))
 
 
 def _scale(fit: ServoFit, covariance: _Covariance) -> tuple[float, FloatArray] | None:
@@ -247,7 +277,9 @@ def _why_not(fit: ServoFit, key: Key, value: float, std: float, *, is_ratio: boo
         # below the limit, only errors of the clocks tell kd from viscous friction
         "split": is_open and not is_limited,
         "back-emf": name == VISCOUS and back_emf != 0.0 and (back_emf is None or is_ratio),
-        "effect": name in GEAR_EFFECTS and fit.misfit > _MAX_EFFECT_MISFIT,
+        "effect": name in GEAR_EFFECTS
+        and (fit.misfit > _MAX_EFFECT_MISFIT or fit.has_rival_effect),
+        "split": name in (KD, VISCOUS) and fit.has_rival_effect,
     }
     for reason, holds in reasons.items():
         if holds:

@@ -72,6 +72,7 @@ class ServoFit:
     deviations: FloatArray  # (n_segments, n_joints) [rad] of the residuals
     resolution: float  # [rad] of the angles: the least deviation
     end: SearchEnd
+    has_rival_effect: bool = False  # another effect of a gear explains a part of the residuals too
     # (n_rivals, n_unknowns) changes with other courses of the commands that fit as well
     rival_changes: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
 

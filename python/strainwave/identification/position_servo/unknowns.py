@@ -26,6 +26,8 @@ from strainwave.identification.position_servo.loop import (
 from strainwave.identification.position_servo.records import MAX_DELAY
 
 _LEAST_SHARE = 1e-6  # of a positive base parameter, over the largest of its unit
+# of Coulomb friction, over the torque limit: without friction a simulation has no derivative by it
+_LEAST_FRICTION = 1e-4
 _KD_SHARE_STD = 0.29  # of a uniform distribution on [0, 1]
 _LAG_STD = 0.5  # of a servo's velocity, in periods: that of the law is at the reading
 # of the dry friction in both directions; the offset replaces gravity where the angle hardly changes
@@ -53,7 +55,7 @@ def unknowns_of(loop: ServoLoop, values: Values) -> tuple[list[Unknown], list[Pr
         size = 0.5 * damping + 3e-3 * torque
         keys: list[tuple[str, float, float, float]] = [
             (VISCOUS, size, 0.0, np.inf),
-            (COULOMB, values[COULOMB, i] + 0.01 * torque, 0.0, np.inf),
+            (COULOMB, values[COULOMB, i] + 0.01 * torque, _LEAST_FRICTION * torque, np.inf),
             (OFFSET, 0.1 * torque, -np.inf, np.inf),
             (VELOCITY_LAG, 0.5, -1.0, 3.0),
             (LIMIT, 0.2 * torque, 0.02 * torque, np.inf),

@@ -381,6 +381,15 @@ def _check_payloads(study: Study, reader: Reader) -> None:
     """Raise InvalidInput unless unknown drives and known payloads belong together."""
     unknown = study.arm.unknown_drives
     if study.arm.position_servo is not None:
+        for index, experiment in enumerate(study.experiments):
+            load = experiment.payload
+            if load is not None and study.arm.has_planar_program and load.xyz[1] != 0.0:
+                raise InvalidInput(
+                    f"the centre of the payload is {load.xyz[1]:g} m beside the x axis of the "
+                    f"link, but links of a {study.arm.kind} arm lie on their x axes",
+                    where=reader.place("experiment", index, "payload"),
+                    remedy='mount it on the axis, or describe the arm with kind = "serial"',
+                )
         return
     for index, experiment in enumerate(study.experiments):
         if experiment.payload is not None and not unknown:

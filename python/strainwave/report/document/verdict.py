@@ -152,6 +152,8 @@ def scale_note(identification: Identification) -> str:
         return ""
     has_voltages = any(joint.torque_per_volt is not None for joint in study.arm.joints)
     constant = "torque_per_volt" if has_voltages else "the scale of the torque channels"
+    if study.arm.position_servo is not None:
+        constant = "the gain kp of the position servos"
     return (
         f"Inertias, friction, gravity and stiffness scale with {constant}; an error that all joints"
         " share is not visible in the records."
