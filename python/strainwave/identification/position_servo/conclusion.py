@@ -275,11 +275,10 @@ def _why_not(fit: ServoFit, key: Key, value: float, std: float, *, is_ratio: boo
         "scale": name == KP and is_ratio,
         "limit": name == LIMIT and not is_limited,
         # below the limit, only errors of the clocks tell kd from viscous friction
-        "split": is_open and not is_limited,
+        "split": (is_open and not is_limited) or (name in (KD, VISCOUS) and fit.has_rival_effect),
         "back-emf": name == VISCOUS and back_emf != 0.0 and (back_emf is None or is_ratio),
         "effect": name in GEAR_EFFECTS
         and (fit.misfit > _MAX_EFFECT_MISFIT or fit.has_rival_effect),
-        "split": name in (KD, VISCOUS) and fit.has_rival_effect,
     }
     for reason, holds in reasons.items():
         if holds:
