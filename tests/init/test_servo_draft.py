@@ -15,14 +15,15 @@ from strainwave.io.study import read_study
 
 DEGREE, TURN = np.pi / 180.0, 2.0 * np.pi
 COUNT = TURN / 4096
-TIME = 0.005 * np.arange(4000)
+TIME: FloatArray = 0.005 * np.arange(4000, dtype=np.float64)
 
 
 def signals(size: float = 1.0) -> tuple[FloatArray, FloatArray]:
     """Commanded and measured angles [rad] of a servo of 12 bits that follows late and too far."""
-    goal = size * sum(np.sin(w * TIME + w) for w in (0.9, 2.3, 7.0)) / 2.0
+    waves = [np.sin(w * TIME + w) for w in (0.9, 2.3, 7.0)]
+    goal: FloatArray = 0.5 * size * np.sum(waves, axis=0)
     late = np.interp(TIME - 0.04, TIME, goal)
-    return goal, COUNT * np.round((1.1 * late - 0.02) / COUNT)
+    return goal, np.asarray(COUNT * np.round((1.1 * late - 0.02) / COUNT))
 
 
 def draft(folder: Path, columns: dict[str, FloatArray], name: str = "log.csv") -> StudyDraft:
