@@ -135,14 +135,16 @@ def choose_gear_effects(fit: ServoFit) -> tuple[ServoFit, FloatArray]:
     is a rival even where it explains nothing.
     """
     none = np.zeros((0, len(fit.x)))
-    if fit.loop.has_gears or fit.loop.arm.n_joints > _MAX_JOINTS_WITH_EFFECTS:
+    arm = fit.loop.arm
+    is_small = arm.has_planar_program and arm.n_joints <= _MAX_JOINTS_WITH_EFFECTS
+    if fit.loop.has_gears or not is_small:
         return fit, none
     plain, effects, changes = fit, list[ServoFit](), list[FloatArray]()
     for i in plain.loop.numbers:
         for name in _tried_effects(plain.loop.arm, i):
             loop, values = _with_gears(plain, [i], _GEAR_HZ)
-            arm = loop.arm.with_joint(i, effects=(name.replace("_", "-"),))
-            loop = replace(loop, arm=Arm.of(arm), has_stiff_gears=True)
+            geared = loop.arm.with_joint(i, effects=(name.replace("_", "-"),))
+            loop = replace(loop, arm=Arm.of(geared), has_stiff_gears=True)
             values |= {(name, i): _STARTS[name]}
             rival = fit_from(loop, values, plain.segments, plain.resolution, passes=2)
             if rival is None:

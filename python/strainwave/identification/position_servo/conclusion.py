@@ -23,6 +23,7 @@ from strainwave.domain.arm.description import unit_in
 from strainwave.domain.arm.parameter_table import COULOMB, OFFSET
 from strainwave.domain.keys import JointNumber, Key
 from strainwave.domain.results.distributions import CI95_STDS
+from strainwave.domain.results.estimates import physical_range
 from strainwave.identification.position_servo.candidates import LIMIT_UNREACHED
 from strainwave.identification.position_servo.fit import ServoFit
 from strainwave.identification.position_servo.loop import (
@@ -287,7 +288,8 @@ def _why_not(fit: ServoFit, key: Key, value: float, std: float, *, is_ratio: boo
     half = CI95_STDS * std
     if name in (KD, VISCOUS):
         return "split" if half > _MAX_SPLIT_ERROR * abs(value) else None
-    return "motion" if half >= abs(value) and name not in (COULOMB, OFFSET, DAMPING) else None
+    may_vanish = name in (COULOMB, DAMPING) or physical_range(name) == "any"
+    return "motion" if half >= abs(value) and not may_vanish else None
 
 
 def _delay_error(fit: ServoFit, std: float) -> tuple[float, float]:

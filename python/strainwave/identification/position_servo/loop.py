@@ -44,6 +44,8 @@ GEAR_EFFECTS = ("backlash", "load_friction")
 """Effects of gears, by their parameters."""
 
 _STEPS_PER_PERIOD = 15.0  # of the fastest resonance: a relative error of 2e-4 in its frequency
+_MASS = 10.0  # [kg] above what base parameters of arms with position servos ask for
+_RANK_TOLERANCE = 1e-9  # relative, of weights of base parameters
 _RECORDING_STEP = 1e-3  # [s]; angles are interpolated between; at 20 Hz to 1e-5 of the amplitude
 _SATURATED = 1.0 - 1e-9  # share of the torque limit
 _INITIAL = ("initial_motor_angle", "initial_motor_velocity")
@@ -150,6 +152,21 @@ class ServoLoop:
 
     def _shares(self, values: Values) -> FloatArray:
         return np.array([values.get((MOTOR_SHARE, i), 0.0) for i in self.numbers])
+
+    @cached_property
+    def _masses(self) -> FloatArray:
+        """Change of the links of a chain (n_links,) by which they have masses, but no torques.
+
+        The core checks the sign of each mass, of which base parameters determine sums.
+        """
+        rows = self.arm.base.rows[:, : len(self.arm.base.links)]
+        _, s, Vt = np.linalg.svd(rows)
+        free = Vt[int(np.sum(s > _RANK_TOLERANCE * s[0])) :].T
+        masses = [k for k, (name, _) in enumerate(self.arm.base.links) if name == "link_mass"]
+        if not masses or not free.size:
+            return np.zeros(rows.shape[1])
+        wanted = np.full(len(masses), _MASS)
+        return np.asarray(free @ np.linalg.lstsq(free[masses], wanted)[0])
 
     def prepare(self, values: Values, record: ServoRecord) -> LoopInputs:
         """Arm, servos and commands of a record."""
@@ -264,6 +281,7 @@ class ServoLoop:
         body = base.particular(self._shares(values)) @ np.array(
             [values[column.key] for column in base.columns]
         )
+        body[: len(base.links)] += self._masses
         known = dict(zip((*base.links, *motors), body.tolist(), strict=True))
         for i, ratio in enumerate(self.arm.gear_ratios.tolist(), start=1):
             known[VISCOUS, i] = values[VISCOUS, i] * ratio**2
