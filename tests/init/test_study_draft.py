@@ -720,7 +720,10 @@ def test_any_table_gives_a_draft_or_an_error(
     steps = [e for e in drafted["experiment"] if e["use"] in ("tuning", "check") and "joint" in e]
     has_servo = any("servo" in step["control"] for step in steps)
     # [servo] is required for the comparison with a simulation
-    servo_table = {"servo"} if elastic and has_servo else set()
+    inputs = ("u", "torque", "tau_l")
+    is_position_servo = drafted.get("servo", {}).get("kind") == "position"
+    assert not (is_position_servo and any(c.startswith(inputs) for c in drafted["channels"]))
+    servo_table = {"servo"} if (elastic and has_servo) or is_position_servo else set()
     assert set(drafted) == {"arm", "joint", "channels", "experiment"} | servo_table
 
 

@@ -28,6 +28,11 @@ from strainwave.init.signal_features import (
     sign_bit,
 )
 
+_SCALE_REMEDY = (
+    "the logs have commanded and measured angles and no torque: inertia, friction and gravity are"
+    " ratios to the gain of each servo. For absolute values, set kp [N m/rad] of [servo], or log"
+    " the same motion again with a known weight and add payload to its [[experiment]]"
+)
 _MIN_CORRELATION = 0.98  # of a column that measures the same as another
 _MIN_TORQUE_SHARE = 0.05  # of the gravity of a stretched arm; 1:57 and slower gears have less
 _IMU_AXIS = re.compile(r"[ag][xyz][1-9]")  # channel name of an IMU axis
@@ -79,6 +84,8 @@ def map_channels(
         _map_input(joint)
         _map_sensors(joint)
     _map_imus(record, mapping)
+    if mapping.position_servos:
+        mapping.warnings += (_SCALE_REMEDY,)
     if listed := ", ".join(repr(joint.sided_by_guess) for joint in joints if joint.sided_by_guess):
         mapping.warnings += (
             f"on which side of the gear is {listed} measured? The motor side is assumed; if it is a"
@@ -177,6 +184,8 @@ def _map_input(joint: JointColumns) -> None:
         )
     if columns:
         _add_input(joint, columns[0])
+    elif joint.facts.position_servo:
+        return
     elif joint.facts.joint_side:
         description = "the torque [N m at the joint]; for a voltage, map u instead"
         joint.mapping.missing[f"torque{joint.number}"] = description

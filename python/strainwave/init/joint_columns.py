@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from math import pi
+from math import log2, pi
 from pathlib import Path
 from typing import Literal, NamedTuple
 
@@ -16,7 +16,7 @@ import numpy as np
 
 from strainwave.domain import FloatArray
 from strainwave.init.inspection import InspectedLog
-from strainwave.init.names import LINEAR, ParsedName
+from strainwave.init.names import LINEAR, ParsedName, Quantity, find_unit, words_of
 from strainwave.init.signal_features import (
     MAX_UNIT_RATIO_ERROR,
     is_register,
@@ -34,6 +34,8 @@ Sure = Literal["sure", "likely", "unsure"]
 
 MIN_RELATED_CORRELATION = 0.9
 """Minimum correlation at which two columns count as related."""
+MIN_TRACKING_CORRELATION = 0.5
+"""Minimum correlation of a commanded angle and the angle; chirps beyond the bandwidth have 0.6."""
 MIN_RANGE_SHARE = 0.1
 """Share of its largest range above which a joint moves in a record."""
 
@@ -57,6 +59,7 @@ class JointFacts:
 
     name: str = ""  # in the URDF
     joint_side: str = ""  # why its signals are measured behind the gear; empty if they are not
+    position_servo: bool = False  # whether the log has its commanded angle, and no input
     prismatic: bool = False
     gear_ratio: tuple[float, str] | None = None  # with its reason
     encoder_counts: tuple[int | None, str] | None = None  # None: the step matches no common encoder
@@ -85,6 +88,11 @@ class Mapping:
         return {guess.column for guess in self.guesses.values()}
 
     @property
+    def position_servos(self) -> bool:
+        """Whether the logs have the commanded angles of all joints, and no input of a drive."""
+        return bool(self.joints) and all(facts.position_servo for facts in self.joints)
+
+    @property
     def shows_elasticity(self) -> bool:
         """Whether a sensor on a link shows the elasticity of a gear."""
         return any(facts.link_sensors and not facts.joint_side for facts in self.joints)
@@ -96,6 +104,13 @@ _MIN_DETERMINED_CORRELATION = 0.98  # of two angles of one joint, if one determi
 _MAX_ASSUMED_ANGLE = 500.0  # [rad] largest angle that is assumed to be in rad
 _COUNTS_SCALE = "2 pi / counts per motor turn [rad]"
 _MIN_RATIO_ERROR = 1e-4  # relative; a log of few digits states a ratio no better
+_REGISTER, _SHORT_REGISTER = 4096, 1024  # counts of Dynamixel and Feetech; short ones: no turn
+_SERVO_COUNTS = frozenset(2**bits for bits in range(10, 17))  # of servos, per turn
+_COUNTS_TOLERANCE = 2e-3  # relative, for rounding in the log
+_MAX_SERVO_ANGLE = 7.0  # [rad] of a joint, just above a turn
+ON_LINK: tuple[Quantity, ...] = ("acceleration", "gyro", "deflection")
+"""Quantities of sensors on a link."""
+_TICKS = find_unit("ticks", "angle")
 _TURNS = {2.0 * pi: 1.0, 360.0: DEGREE, 1.0: 2.0 * pi}  # jump of a wrapped angle -> SI factor
 
 
@@ -128,6 +143,26 @@ class JointColumns:
         if match and f"{match['topic']}.effort{match['joint']}" in self.parsed_names:
             reason = f"{match['topic']} has positions and efforts of the joints"
             self.facts.joint_side = reason
+        if self._has_position_servo():
+            self.facts.position_servo = True
+            self.facts.joint_side = "a position servo measures the angle that it controls"
+
+    def _has_position_servo(self) -> bool:
+        """Whether an angle follows a commanded angle, without any sensor on a link."""
+        if self.angle is None or self.link_angle is not None or self.parsed_names[self.angle].side:
+            return False
+        if any(map(self.columns_of, ("torque", "voltage", "current", *ON_LINK))):
+            return False
+        return any(self.is_commanded_angle(name) for name in self.columns_of("reference"))
+
+    def is_commanded_angle(self, column: str) -> bool:
+        """Whether the angle follows a reference itself, rather than its integral."""
+        if self.angle is None:
+            return False
+        r, r_integral = (
+            abs(f(column, self.angle)[0]) for f in (self.record.proportion, self.record.relation)
+        )
+        return r > max(r_integral, MIN_TRACKING_CORRELATION)
 
     def columns_of(self, quantity: str) -> list[str]:
         """The columns of a quantity."""
@@ -307,6 +342,7 @@ class JointColumns:
         if bit is not None:
             todo = f"bit {bit} of the register is the sign: decode the column; then {_COUNTS_SCALE}"
             yield _AngleUnit(None, "a register read as unsigned", todo)
+        yield from self._servo_units(column)
         if each.measure is not None:
             reason = f"unit {each.unit} according to its name"
             yield _AngleUnit(each.measure.scale, reason, each.todo)
@@ -336,6 +372,32 @@ class JointColumns:
             yield _AngleUnit(None, f"no unit in its name, and values up to {largest:.4g}", todo)
         assumed = "m" if self.facts.prismatic else "rad"
         yield _AngleUnit(1.0, f"assumed unit {assumed}: the log does not state a unit")
+
+    def _servo_units(self, column: str) -> Iterator[_AngleUnit]:
+        """Yield units of a position servo's angle that its steps and its size show."""
+        values, measure = self.values(column), self.parsed_names[column].measure
+        if not self.facts.position_servo or measure not in (None, _TICKS):
+            return
+        step, largest = quantum(values), float(np.abs(values).max())
+        if is_register(values):
+            if measure and values.min() >= 0.0 and _SHORT_REGISTER <= largest < _REGISTER:
+                reason = f"whole numbers up to {largest:g}: {_REGISTER} per turn; for gravity, add"
+                reason += " here and to ref the offset: -scale times the count of a link along +x"
+                yield _AngleUnit(2.0 * pi / _REGISTER, reason)
+            yield _AngleUnit(None, "whole numbers: counts?", _COUNTS_SCALE)
+        for turn, scale in _TURNS.items():
+            counts = turn / step if step else 1.0
+            power = 2 ** round(log2(counts))
+            if power in _SERVO_COUNTS and abs(counts / power - 1.0) < _COUNTS_TOLERANCE:
+                yield _AngleUnit(scale, f"steps of {step:.5g}, {power} per turn of {turn:.4g}")
+        if any(words_of(name)[:2] == ("command", "position") for name in self.parsed_names):
+            yield _AngleUnit(None, "no unit", "2 pi for turns, as moteus logs them; 1 for rad")
+        if largest > _MAX_SERVO_ANGLE:
+            todo = "pi/180 for degrees; of a normalised range (LeRobot's -100 to 100), the angle"
+            todo += " [rad] that the joint's calibrated range spans over 200"
+            if step:
+                todo += f"; {2.0 * pi / _REGISTER / step:.6g} if an encoder of 4096 counts made it"
+            yield _AngleUnit(None, f"no unit in its name, and values up to {largest:.4g}", todo)
 
     def _by_relation(self, quantity: str, angle: str) -> list[str]:
         """Columns of a quantity; first the one that is most like the derivative of the angle."""
@@ -394,7 +456,8 @@ class JointColumns:
 
     def _encoder(self, angle: str) -> None:
         scale, step = self.mapping.guesses[f"theta_m{self.number}"].scale, None
-        if not self.facts.joint_side:  # drivers of robots round angles to decimals, not to counts
+        # drivers of robots round angles to decimals, not to counts
+        if self.facts.position_servo or not self.facts.joint_side:
             step = quantum(self.values(angle))
         if scale is None or step is None or self.facts.prismatic:
             return
@@ -414,6 +477,7 @@ class JointColumns:
             r, ratio = self.record.relation(column, angle)
             angle_r, angle_ratio = self.record.proportion(column, angle)
             is_angle = angle_r > max(r, MIN_RELATED_CORRELATION)
+            is_angle |= self.facts.position_servo and self.is_commanded_angle(column)
             if f"ref{self.number}" in self.mapping.guesses:
                 self.mapping.unused[column] = f"another reference of joint {self.number}"
                 continue
@@ -429,7 +493,11 @@ class JointColumns:
             if self.parsed_names[column].unit is None and sure != "unsure":
                 # a servo follows within some per cent, so that the unit is that of the angle
                 unit = (None, f"the scale of theta_m{self.number}")
-                if angle_scale is not None:
+                if angle_scale is not None and is_angle and self.facts.position_servo:
+                    expected = abs(angle_ratio) * angle_scale  # within a factor of 2, units of 6
+                    units = (angle_scale, *_TURNS.values(), 2.0 * pi / _REGISTER)
+                    unit = min(units, key=lambda scale: abs(log2(scale / expected))), ""
+                elif angle_scale is not None:
                     unit = nearest_unit(abs(angle_ratio if is_angle else ratio) * angle_scale), ""
             elif self.parsed_names[column].unit is None and is_register(self.values(column)):
                 unit = None, f"whole numbers: {_COUNTS_SCALE}"

@@ -12,7 +12,7 @@ import numpy as np
 
 from strainwave.domain.keys import JointNumber
 from strainwave.init.inspection import InspectedLog
-from strainwave.init.joint_columns import Mapping
+from strainwave.init.joint_columns import ON_LINK, Mapping
 from strainwave.init.names import (
     MAX_JOINTS,
     ParsedName,
@@ -28,7 +28,6 @@ from strainwave.init.robot import Robot
 from strainwave.init.signal_features import levels
 
 _MIN_DERIVATIVE_CORRELATION = 0.95  # of an unnamed column that is the derivative of another
-_ON_LINK = ("acceleration", "gyro", "deflection")  # quantities of sensors on a link
 
 
 def assign_columns(
@@ -70,7 +69,7 @@ def assign_columns(
         )
     order = {joint: k for k, joint in enumerate(chosen, start=1)}
     for name, each in numbered.items():
-        on_link = each.quantity in _ON_LINK
+        on_link = each.quantity in ON_LINK
         if each.number is None and chosen and (on_link or len(chosen) == 1):
             # a sensor without a joint in its name is assigned to the last link
             placed = len(chosen) == 1
@@ -129,7 +128,7 @@ def _number_by_robot(
             by_name[name] = replace(parsed, number=joint, label="")
         else:
             number = last_number(words_of(each.label)) if each.label else each.number
-            if names_joints and each.rest and each.quantity not in _ON_LINK:
+            if names_joints and each.rest and each.quantity not in ON_LINK:
                 number = None  # finger1 is not joint 1 of a robot whose joints have names
             by_number[name] = replace(each, number=number, label="")
     kept, unused, count = by_name, dict[str, str](), len(robot.joints)
@@ -137,7 +136,7 @@ def _number_by_robot(
         number = robot.number_of(each.number)
         if number is not None:
             kept[name] = replace(each, number=number)
-        elif each.number is None and each.quantity in _ON_LINK:
+        elif each.number is None and each.quantity in ON_LINK:
             kept[name] = replace(each, number=count, placed=False)
         elif each.quantity not in (None, "time"):
             unused[name] = f"no joint that moves in {robot.path.name} has this name or number"

@@ -60,12 +60,15 @@ def fit_from(
 def calm_segments(
     loop: ServoLoop, values: Values, segments: Sequence[Segment], floor: float
 ) -> tuple[Segment, ...]:
-    """Segments that a start predicts about as well as most.
+    """Segments that a start predicts about as well as most; all if its simulation diverges.
 
     Beyond a torque limit that a start does not know, simulation and measurement part.
     """
     states = [initial_state(loop, segment) for segment in segments]
-    sizes = np.max(np.maximum(deviations(loop, values, segments, states), floor), axis=1)
+    try:
+        sizes = np.max(np.maximum(deviations(loop, values, segments, states), floor), axis=1)
+    except (InvalidInput, NumericalFailure):  # of an arm that cannot exist
+        return tuple(segments)
     is_calm = sizes <= _CALM_RATIO * np.median(sizes)
     return tuple(s for s, calm in zip(segments, is_calm, strict=True) if calm)
 

@@ -269,14 +269,17 @@ def _in_torques(
 def _why_not(fit: ServoFit, key: Key, value: float, std: float, *, is_ratio: bool) -> str | None:
     """Variant of the warning of a parameter that the data do not determine; None if they do."""
     name, joint = key
-    back_emf = fit.loop.servo.back_emf_damping(joint or 1)
+    servo, is_limited = fit.loop.servo, fit.saturated[(joint or 1) - 1]
+    back_emf = servo.back_emf_damping(joint or 1)
+    is_open = name in (KD, VISCOUS) and servo.damping_gain(joint or 1) is None
     reasons = {
         "scale": name == KP and is_ratio,
-        "limit": name == LIMIT and not fit.saturated[(joint or 1) - 1],
+        "limit": name == LIMIT and not is_limited,
+        # below the limit, only errors of the clocks tell kd from viscous friction
+        "split": (is_open and not is_limited) or (name in (KD, VISCOUS) and fit.has_rival_effect),
         "back-emf": name == VISCOUS and back_emf != 0.0 and (back_emf is None or is_ratio),
         "effect": name in GEAR_EFFECTS
         and (fit.misfit > _MAX_EFFECT_MISFIT or fit.has_rival_effect),
-        "split": name in (KD, VISCOUS) and fit.has_rival_effect,
     }
     for reason, holds in reasons.items():
         if holds:

@@ -9,6 +9,7 @@ import numpy as np
 
 from strainwave.domain import FloatArray
 from strainwave.domain.keys import Values
+from strainwave.errors import NumericalFailure
 from strainwave.identification.position_servo.loop import LoopInputs, ServoLoop
 from strainwave.identification.position_servo.records import Segment
 from strainwave.numerics.parallel import run_parallel
@@ -59,6 +60,8 @@ def _explained(
     run = loop.simulate(inputs, segment, state, derive=True)
     residual = run.angle - segment.angle
     of_state = run.derivatives[..., -loop.n_states :].reshape(residual.size, -1)
+    if not (np.isfinite(residual).all() and np.isfinite(of_state).all()):
+        raise NumericalFailure("the simulation of the servos diverges")
     error = np.linalg.lstsq(of_state, residual.ravel(), rcond=MIN_STATE_EFFECT)[0]
     return residual - (of_state @ error).reshape(residual.shape), np.asarray(
         error, dtype=np.float64

@@ -29,7 +29,7 @@ _LEAST_SHARE = 1e-6  # of a positive base parameter, over the largest of its uni
 # of Coulomb friction, over the torque limit: without friction a simulation has no derivative by it
 _LEAST_FRICTION = 1e-4
 _KD_SHARE_STD = 0.29  # of a uniform distribution on [0, 1]
-_LAG, _LAG_STD = 0.5, 0.5  # of a servo's velocity: from that at the reading to two periods
+_LAG_STD = 0.5  # of a servo's velocity, in periods: that of the law is at the reading
 # of the dry friction in both directions; the offset replaces gravity where the angle hardly changes
 _ASYMMETRY = 0.5
 _MOTOR_SHARE, _MOTOR_SHARE_STD = 0.5, 0.3  # designs match motor and link within a factor
@@ -89,7 +89,10 @@ def unknowns_of(loop: ServoLoop, values: Values) -> tuple[list[Unknown], list[Pr
                 if (name, i) in loop.plant_names
             ]
         unknowns += [Unknown(((name, i),), *of) for name, *of in keys]
-        priors.append(Prior((((VELOCITY_LAG, i), 1.0),), _LAG, _LAG_STD))
+        priors.append(Prior((((VELOCITY_LAG, i), 1.0),), 0.0, _LAG_STD))
+        # friction dissipates in both directions only if its offset is below Coulomb friction
+        dissipative = (values[COULOMB, i] + 3e-3 * torque) / np.sqrt(3.0)
+        priors.append(Prior((((OFFSET, i), 1.0),), 0.0, float(dissipative)))
         asymmetry = _ASYMMETRY * values[COULOMB, i] + 2e-3 * torque
         priors.append(Prior((((OFFSET, i), 1.0),), 0.0, asymmetry))
     if servo.delay == UNKNOWN:
