@@ -233,11 +233,10 @@ def test_common_periods_of_clocks() -> None:
 
 
 @pytest.mark.parametrize("rig", [0, 3])
-def test_shared_servos_are_within_their_intervals(rig: int, shared_data: Path) -> None:
+def test_shared_servos_are_within_their_intervals(
+    rig: int, shared_data: Path, tmp_path: Path
+) -> None:
     """Servos of an independent simulator, with soft friction: within three standard deviations."""
-
-    from strainwave.io.parameters import read_parameters  # noqa: F401
-
     folder = shared_data.parent / "servos" / f"servo-11-{rig}"
     if not folder.exists():
         pytest.skip("no ../shared/servos beside the project")
@@ -250,6 +249,10 @@ def test_shared_servos_are_within_their_intervals(rig: int, shared_data: Path) -
             error = abs(parameter.value - truth[parameter.name]) / parameter.std
             assert error < 3.0, (parameter.name, error)
     assert checked >= 8
+    page = tmp_path / "report.html"
+    result.report(page)
+    text = page.read_text(encoding="utf-8")
+    assert "servo loop, angles" in text and "Not validated" not in text
 
 
 def test_recovers_the_gear_of_an_elastic_joint() -> None:

@@ -44,7 +44,13 @@ from strainwave.report.document.rig import (
     gain_sentences,
     rig_constants,
 )
-from strainwave.report.document.verdict import drive_note, verdict, warnings_table
+from strainwave.report.document.verdict import (
+    MODELS,
+    drive_note,
+    predicting_model,
+    verdict,
+    warnings_table,
+)
 from strainwave.report.figures import MAX_POINTS, Axis, Figure, Panel
 
 __all__ = ["FIGURE_KINDS", "FigureKind", "FigureName", "figures_of", "find_figure", "render"]
@@ -268,7 +274,7 @@ def _prediction_plot(
 ) -> Plot:
     use = "check record" if kind == "check" else "fitted record"
     fits = [f"{name} {_format_fit(fit)}" for name, fit in prediction.fit_percent.items()]
-    model = "drive by the rigid model" if prediction.of_drive else "motion by the elastic model"
+    _, model = MODELS[predicting_model(result, prediction)]
     return Plot(
         FigureName(kind, experiment=prediction.experiment),
         f"{prediction.experiment}, {use}: {model}",

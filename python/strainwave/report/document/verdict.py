@@ -12,7 +12,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from strainwave.domain import Decision, Diagnostic, Identification, Parameter, half_width
+from strainwave.domain import (
+    Decision,
+    Diagnostic,
+    Identification,
+    Parameter,
+    Prediction,
+    half_width,
+)
 from strainwave.domain.arm.effects import possible_causes
 from strainwave.domain.keys import Key
 from strainwave.domain.messages import catalogue, short_place
@@ -233,10 +240,10 @@ def _validation_blocks(identification: Identification) -> Iterator[Block]:
         yield blocks.paragraph(Span("Not validated: ", strong=True), text)
         return
     fits, validated = check_fits(identification), identification.verdict.validated.elastic
-    rows = [_fit_row("rigid model, drive", fits["rigid"])] if fits["rigid"] else []
+    rows = [_fit_row(MODELS[name][0], fits[name]) for name in ("rigid", "servo") if fits[name]]
     is_missed = any(check.unexplained for check in identification.checks if not check.of_drive)
     if fits["elastic"] and (validated or is_missed):
-        rows.append(_fit_row("elastic model, motion", fits["elastic"]))
+        rows.append(_fit_row(MODELS["elastic"][0], fits["elastic"]))
     numbers = map(blocks.number, ("channels", "median fit", "lowest fit"))
     heads: Row = ("check records predicted by", *numbers, "lowest in")
     yield from blocks.table("Fits of check records", heads, rows, heading=False)
@@ -270,11 +277,26 @@ def _fit_row(model: str, fits: Sequence[Fit]) -> Row:
     return (model, *map(blocks.number, numbers), f"{channel} in {record}")
 
 
+MODELS = {
+    "rigid": ("rigid model, drive", "drive by the rigid model"),
+    "elastic": ("elastic model, motion", "motion by the elastic model"),
+    "servo": ("servo loop, angles", "angles by the simulated servo loop"),
+}
+"""Models that predict records: their names in tables and in titles of figures."""
+
+
+def predicting_model(identification: Identification, prediction: Prediction) -> str:
+    """The model that predicts a record, a key of `MODELS`."""
+    if prediction.of_drive:
+        return "rigid"
+    return "elastic" if identification.study.arm.position_servo is None else "servo"
+
+
 def check_fits(identification: Identification) -> dict[str, list[Fit]]:
     """Fits of the check channels that move, by model."""
-    fits: dict[str, list[Fit]] = {"rigid": [], "elastic": []}
+    fits: dict[str, list[Fit]] = {name: [] for name in MODELS}
     for prediction in identification.checks:
-        fits["rigid" if prediction.of_drive else "elastic"] += [
+        fits[predicting_model(identification, prediction)] += [
             (fit, channel, prediction.experiment)
             for channel, fit in prediction.fit_percent.items()
             if math.isfinite(fit)
