@@ -17,6 +17,7 @@ pytest.importorskip("starlette")
 
 from strainwave.io.kept_files import fingerprint
 from strainwave.workbench.pages.estimate import snapshot
+from workbench_client import make_client
 
 if TYPE_CHECKING:
     from starlette.testclient import TestClient
@@ -37,6 +38,42 @@ def test_the_sequence_of_a_record_is_detected(client: TestClient) -> None:
 def read_study_of(client: TestClient) -> Any:
     app: Any = client.app
     return read_study(app.state.workspace.folder / PATH)
+
+
+def test_commands_of_a_position_servo_are_angles(tmp_path: Path) -> None:
+    """The logs have no motor torque, and the page shows them all the same."""
+    time = 0.01 * np.arange(500)
+    columns = {"t": time, "ref1": np.sin(time), "theta_m1": np.sin(time - 0.05)}
+    write_log(tmp_path / "motion.csv", columns)
+    (tmp_path / "study.toml").write_text(_SERVO_STUDY)
+    client = make_client(tmp_path)
+    record = client.get("/api/record/study.toml", params={"record": "motion"}).json()
+    assert set(record["channels"]) == {"ref1", "theta_m1"}
+    query = {"record": "motion", "channel": ["ref1", "theta_m1"], "panels": "unit"}
+    figure = client.get("/api/signal-time/study.toml", params=query).text
+    assert "ref1, theta_m1 [rad]" in figure
+
+
+_SERVO_STUDY = """
+[arm]
+kind = "single-joint"
+
+[[joint]]
+spring = "rigid"
+gear_ratio = 1.0
+
+[servo]
+kind = "position"
+period = 0.001
+kp = [10.0]
+kd = ["unknown"]
+
+[[experiment]]
+name = "motion"
+file = "motion.csv"
+use = "motion"
+control = ["servo"]
+"""
 
 
 def test_a_window_is_written_and_read_back(client: TestClient, folder: Path) -> None:

@@ -26,14 +26,11 @@ class Mark:
 
 
 def marks_of(log: Log, arm: Arm) -> list[Mark]:
-    """Saturation, standstill and defects of sensors, in the order of time."""
-    record = prepare_record(log, arm)
-    marks: list[Mark] = []
-    for channel, at in zip(record.channels, record.saturation.samples.T, strict=True):
-        marks += _stretches(log, "saturation", channel, at)
-    for joint, at in enumerate(record.sliding.T == 0.0, start=1):
-        standing = _stretches(log, "standstill", f"theta_m{joint}", at)
-        marks += [mark for mark in standing if mark.stop - mark.start >= _MIN_STANDSTILL]
+    """Saturation, standstill and defects of sensors, in the order of time.
+
+    Logs of position servos have no input that shows saturation or standstill.
+    """
+    marks = [] if arm.position_servo is not None else list(_marks_of_drives(log, arm))
     for defect in hygiene.detect_defects([log], arm)[0]:
         last = min(defect.stop, len(log) - 1)
         kind = defect.kind.replace("-", " ")
@@ -41,6 +38,15 @@ def marks_of(log: Log, arm: Arm) -> list[Mark]:
         marks.append(Mark(kind, defect.channel, *times))
     longest = sorted(marks, key=lambda m: m.start - m.stop)[:_MAX_MARKS]
     return sorted(longest, key=lambda m: (m.start, m.channel))
+
+
+def _marks_of_drives(log: Log, arm: Arm) -> Iterator[Mark]:
+    record = prepare_record(log, arm)
+    for channel, at in zip(record.channels, record.saturation.samples.T, strict=True):
+        yield from _stretches(log, "saturation", channel, at)
+    for joint, at in enumerate(record.sliding.T == 0.0, start=1):
+        standing = _stretches(log, "standstill", f"theta_m{joint}", at)
+        yield from (mark for mark in standing if mark.stop - mark.start >= _MIN_STANDSTILL)
 
 
 def _stretches(log: Log, kind: str, channel: str, at: BoolArray) -> Iterator[Mark]:

@@ -252,7 +252,8 @@ def test_shared_servos_are_within_their_intervals(
     page = tmp_path / "report.html"
     result.report(page)
     text = page.read_text(encoding="utf-8")
-    assert "servo loop, angles" in text and "Not validated" not in text
+    assert "servo loop, angles" in text
+    assert "Not validated" not in text
 
 
 def test_recovers_the_gear_of_an_elastic_joint() -> None:

@@ -69,9 +69,13 @@ def difference_figure(
     return lines(series, "time [s]", f"{channel}, simulated minus measured [{unit}]", "")
 
 
-def unit_of(channel: str, joints: Sequence[Joint] = ()) -> str:
-    """The unit of a log channel such as `u1` or `omega_m2`; joints are revolute by default."""
+def unit_of(channel: str, joints: Sequence[Joint] = (), *, commands_angles: bool = False) -> str:
+    """The unit of a log channel such as `u1` or `omega_m2`; joints are revolute by default.
+
+    References are velocities, or angles of a position servo: `commands_angles`.
+    """
     kind, number = channel_parts(channel)
+    kind = "theta_m" if kind == "ref" and commands_angles else kind
     is_prismatic = 0 < number <= len(joints) and joints[number - 1].motion == "prismatic"
     for sensor in all_types():
         if kind in sensor.channel_kinds:
@@ -123,8 +127,8 @@ def recording_figure(
     of_reference = "theta_m" if commands_angles else "omega_m"
     panels: dict[str, list[Series]] = {}
     for series in _channel_series(log, limit, angles=commands_angles):
-        kind, number = channel_parts(series.name)
-        unit = unit_of(f"{of_reference}{number}" if kind == "ref" else series.name, joints)
+        kind, _ = channel_parts(series.name)
+        unit = unit_of(series.name, joints, commands_angles=commands_angles)
         title = _TITLES[of_reference if kind == "ref" else kind]
         panels.setdefault(f"{title} [{unit}]", []).append(series)
     order = list(dict.fromkeys(_TITLES.values()))

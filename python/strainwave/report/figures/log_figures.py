@@ -93,7 +93,8 @@ class View:
 
     def _unit(self, channel: str) -> tuple[float, str]:
         """Factor from SI units, and unit of a channel."""
-        unit = unit_of(channel, self.arm.joints)
+        has_servo = self.arm.position_servo is not None
+        unit = unit_of(channel, self.arm.joints, commands_angles=has_servo)
         return UNITS[self.units].get(unit, (1.0, unit))
 
     def _lines(self, names: Sequence[str], points_of: Callable[..., Any]) -> Iterator[Line]:

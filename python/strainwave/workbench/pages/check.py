@@ -180,7 +180,8 @@ def show_channel(request: Request) -> object:
     log = log_of(path, wanted)
     if name not in log.channels:
         raise InvalidInput(f"the record {wanted!r} has no channel {name!r}")
-    title = f"{name} [{unit_of(name, study.arm.joints)}]"
+    has_servo = study.arm.position_servo is not None
+    title = f"{name} [{unit_of(name, study.arm.joints, commands_angles=has_servo)}]"
     panel = line_panel(title, log.time, log.channels[name], name)
     return plotly(Figure(Axis("time [s]"), (panel,)))
 

@@ -141,6 +141,7 @@ def _channels(document: Mapping[str, Any]) -> list[dict[str, Any]]:
     reasons = comments_of(mapped)
     motions = [joint.get("motion") for joint in tables_of(document, "joint")]
     joints = [Joint(RIGID, 1.0, "prismatic" if m == "prismatic" else "revolute") for m in motions]
+    has_servo = table_of(document, "servo").get("kind") == "position"
     rows = []
     for name in channel_names(len(joints)):
         entry = mapped.get(name)
@@ -149,7 +150,7 @@ def _channels(document: Mapping[str, Any]) -> list[dict[str, Any]]:
             {
                 "channel": name,
                 **{key: shown(table.get(key)) for key in ("column", "scale", "offset")},
-                "unit": (unit := unit_of(name, joints)),
+                "unit": (unit := unit_of(name, joints, commands_angles=has_servo)),
                 "units": [asdict(each) for each in form_units(unit)],
                 "reason": reasons.get(name, ""),
             }
