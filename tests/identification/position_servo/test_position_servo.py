@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -162,6 +163,27 @@ def test_values_share_the_error_of_their_scale() -> None:
     for name in ("inertia 1", "gravity_torque_1", "torque_limit 1"):
         assert correlation[at(name), gain] > 0.95, name
     assert abs(correlation[at("servo_delay 1"), gain]) < 0.3
+
+
+@pytest.mark.parametrize("factor", [1.0, 0.8])
+def test_a_payload_checks_the_stated_gain(factor: float) -> None:
+    """Values are those with the stated gain, without errors by the contradiction."""
+    study, data = virtual_logs(servo_arm(), {"one": 1, "loaded": 3})
+    servo = PositionServo("position", PERIOD, (factor * KP,), (UNKNOWN,))
+    study = replace(study, arm=replace(study.arm, position_servo=servo))
+    result = sw.identify(study, data=data)
+    messages = [w.message for w in result.warnings if w.code == "servo-gain-contradicted"]
+    assert len(messages) == (factor != 1.0)
+    for message in messages:
+        match = re.search(r"\((.+) to (.+)\), and the stated one is (.+?)[;,:|]", message)
+        assert match is not None
+        low, high, stated = map(float, match.groups())
+        assert low < KP < high
+        assert stated == pytest.approx(factor * KP)
+    inertia = result["inertia", 1]
+    assert inertia.value is not None
+    assert inertia.std is not None
+    assert abs(inertia.value - factor * TRUTH["inertia", 1]) < 3.0 * inertia.std
 
 
 def test_a_known_kd_separates_friction_from_it() -> None:

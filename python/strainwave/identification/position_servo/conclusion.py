@@ -22,7 +22,7 @@ from strainwave.domain.arm.combinations import LINK_INERTIA
 from strainwave.domain.arm.description import unit_in
 from strainwave.domain.arm.parameter_table import COULOMB, OFFSET
 from strainwave.domain.keys import JointNumber, Key
-from strainwave.domain.results.distributions import CI95_STDS
+from strainwave.domain.results.distributions import CI95_STDS, chi_square_limit
 from strainwave.domain.results.estimates import physical_range
 from strainwave.identification.position_servo.candidates import LIMIT_UNREACHED
 from strainwave.identification.position_servo.fit import ServoFit
@@ -63,6 +63,7 @@ _MIN_SINGULAR_VALUE = 1e-9  # relative; unknowns without effect get infinite sta
 _MAX_SPLIT_ERROR = 0.3
 _MAX_EFFECT_MISFIT = 1.3  # beyond which an effect stands in for another
 _UNIFORM_HALF_WIDTH = 0.475  # of the 95 % interval, over the width of a uniform distribution
+_CONTRADICTED_LEVEL = 1e-3  # probability with which a correct gain seems contradicted
 _MAX_CHECK_ERROR = 0.1  # rms, over the motion: errors below are accepted whatever their cause
 
 _GEAR_UNITS = {STIFFNESS: "N m/rad", GEAR_DAMPING: "N m s/rad"}
@@ -341,12 +342,29 @@ def _delay_error(fit: ServoFit, std: float) -> tuple[float, float]:
     return std, half
 
 
+def _contradiction(fit: ServoFit, covariance: _Covariance) -> Iterator[Diagnostic]:
+    """Warning of a known gain that known payloads exclude; the values are those with this gain."""
+    gain = fit.loop.servo.gain(1)
+    index = [k for k, unknown in enumerate(fit.unknowns) if unknown.keys == (SCALE,)]
+    if gain is None or not index:
+        return
+    factor = fit.values[SCALE]
+    std = float(np.hypot(np.sqrt(covariance.total[index[0], index[0]]), _LEAST_DEVIATION * factor))
+    half = float(np.sqrt(chi_square_limit(_CONTRADICTED_LEVEL, 1))) * std
+    if abs(factor - 1.0) > half:
+        ends = {"low": gain * (factor - half), "high": gain * (factor + half)}
+        place = Place(joint=1, parameter=KP)
+        values = {"stated": gain, "value": gain * factor, "factor": factor} | ends
+        yield Diagnostic("servo-gain-contradicted", place, **values)
+
+
 def rigid_model(fit: ServoFit) -> RigidModel:
     """The result as that of the rigid step."""
     covariance = _Covariance(fit)
     estimates = list(_estimates(fit, covariance))
     parameters = tuple(each.parameter for each in estimates)
     warnings = tuple(each.warning for each in estimates if each.warning is not None)
+    warnings += tuple(_contradiction(fit, covariance))
     table = np.vstack([rows.jacobian for rows in fit.rows])
     scale = np.linalg.norm(table, axis=0)
     s = np.linalg.svd(table[:, scale > 0.0] / scale[scale > 0.0], compute_uv=False)

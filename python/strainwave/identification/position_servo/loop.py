@@ -35,7 +35,9 @@ VISCOUS = "motor_viscous_friction"  # with the damping of the back-EMF, beyond t
 VELOCITY_LAG = "velocity_lag"  # 0: velocity at the reading; 1: difference over one period
 LIMIT = "torque_limit"
 DELAY = "servo_delay"
-SCALE: Key = ("scale", None)  # gain by which all torques are divided [N m/rad]; left out: none
+# gain by which all torques are divided [N m/rad], or, with a known gain, the ratio of the gain that
+# known payloads ask for to it; left out: none
+SCALE: Key = ("scale", None)
 
 MOTOR_SHARE = "motor_share"  # of the motor in inertias of elastic joints
 STIFFNESS = "gear_stiffness"

@@ -174,6 +174,8 @@ def _solve(loop: ServoLoop, motions: Sequence[_Motion], delays: Sequence[float])
         values[LIMIT, i + 1] = _LIMIT_MARGIN * max(float(np.max(t)) for t in torques[i::n])
     if gains[0] is None and scale > 0.0:
         values[SCALE] = 1.0 / scale
+    elif gains[0] is not None and len({motion.record.payload for motion in motions}) > 1:
+        values[SCALE] = 1.0 / scale if scale > 0.0 else 1.0
     return LinearStart(values, float(np.mean(np.abs(residual)) / np.mean(np.abs(target))))
 
 
