@@ -177,28 +177,28 @@ class _Problem:
             jobs.append(partial(self._rows_of, k, base[at], weights[at], own, steps, states[k]))
         return run_parallel(jobs)
 
-    def _weights(self, inputs: LoopInputs) -> FloatArray:
-        """Derivatives of the core's parameters by the unknowns, (n_directions, n_unknowns)."""
-        index = {key: i for i, key in enumerate(self.loop.directions)}
-        weights = np.zeros((len(index), len(self.unknowns)))
+    def _weights(self, inputs: LoopInputs) -> dict[Key, FloatArray]:
+        """Derivatives (n_unknowns,) of the core's parameters that depend on the unknowns."""
+        weights: dict[Key, FloatArray] = {}
         for j, unknown in enumerate(self.unknowns):
             for key in unknown.keys:
                 for part, weight in (self.loop.row(key, inputs) or {}).items():
-                    weights[index[part], j] += weight
+                    if weight != 0.0:
+                        weights.setdefault(part, np.zeros(len(self.unknowns)))[j] += weight
         return weights
 
     def _rows_of(
         self,
         k: int,
         inputs: LoopInputs,
-        weights: FloatArray,
+        weights: dict[Key, FloatArray],
         changed: dict[int, LoopInputs],
         steps: dict[int, float],
         state: FloatArray,
     ) -> SegmentRows:
         loop, segment, size = self.loop, self.segments[k], self.deviations[k]
-        run = loop.simulate(inputs, segment, state, loop.directions)
-        stacked = run.derivatives[..., : -loop.n_states] @ weights
+        run = loop.simulate(inputs, segment, state, list(weights))
+        stacked = run.derivatives[..., : -loop.n_states] @ np.array(list(weights.values()))
         for j, other in changed.items():
             name, joint = self.unknowns[j].keys[0]
             if name == LIMIT and not run.saturated[(joint or 1) - 1]:

@@ -97,20 +97,6 @@ class ServoLoop:
     has_stiff_gears: bool = False  # of a stiffness that is not fitted, for their effects
 
     @cached_property
-    def directions(self) -> tuple[Key, ...]:
-        """Parameters of the core by which it differentiates."""
-        of_joints = [
-            (name, i) for name in (MOTOR_INERTIA, VISCOUS, COULOMB, OFFSET) for i in self.numbers
-        ]
-        of_gears = [
-            (name, i)
-            for name in (STIFFNESS, GEAR_DAMPING, *GEAR_EFFECTS)
-            for i in self.numbers
-            if (name, i) in self.plant_names
-        ]
-        return (*self.arm.base.links, *of_joints, *of_gears)
-
-    @cached_property
     def _of_states(self) -> tuple[Key, ...]:
         """Initial states of the core by which it differentiates."""
         names = (*_INITIAL, "initial_link_velocity") if self.has_gears else _INITIAL
