@@ -119,6 +119,7 @@ class _Covariance:
         gradients = np.array([each.gradient for each in estimates])
         is_split = np.array([each.parameter.name in (KD, VISCOUS) for each in estimates])
         scale = np.sqrt(np.diag(self.loose))
+        scale[scale == 0.0] = 1.0
         squares, vectors = np.linalg.eigh((self.loose - self.total) / np.outer(scale, scale))
         excess = gradients * scale @ vectors * np.sqrt(np.maximum(squares, 0.0))
         excess[~is_split] = 0.0
