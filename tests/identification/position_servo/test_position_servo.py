@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -47,7 +48,10 @@ TRUTH: Mapping[Key, float] = {
     ("servo_delay", 1): 0.013,  # the middle of the cell of 1 ms that 5 ms and 2 ms leave open
     ("torque_limit", 1): 2.0,
 }
-LOAD = Payload(0.15, (0.2, 0.0, 0.0))
+LOADS = {
+    "loaded": Payload(0.15, (0.2, 0.0, 0.0)),
+    "light": Payload(0.001, (0.2, 0.0, 0.0)),  # 0.002 N m of 0.5 N m
+}
 
 
 def servo_arm(kp: float | Unknown = KP, kd: float | Unknown = UNKNOWN) -> ArmDescription:
@@ -70,10 +74,9 @@ def commands(seed: int, duration: float = 8.0) -> FloatArray:
 def virtual_logs(
     arm: ArmDescription, seeds: Mapping[str, int], truth: Mapping[Key, float] = TRUTH
 ) -> tuple[Study, dict[str, dict[str, FloatArray]]]:
-    """A study of records, one of them with a load if it is named so, and their logs."""
+    """A study of records, with the loads of their names, and their logs."""
     experiments = tuple(
-        Experiment(name, "", "motion", ("servo",), payload=LOAD if name == "loaded" else None)
-        for name in seeds
+        Experiment(name, "", "motion", ("servo",), payload=LOADS.get(name)) for name in seeds
     )
     study, data = Study(arm=arm, experiments=experiments), {}
     assert arm.position_servo is not None
@@ -144,6 +147,43 @@ def test_recovers_a_servo(known: str) -> None:
         assert parameter.per == ("kp" if per == KP else None)
     codes = {warning.code for warning in result.warnings}
     assert ("servo-undetermined" in codes) == (known == "nothing")
+
+
+def test_values_share_the_error_of_their_scale() -> None:
+    """A light weight determines the scale to some percent, and ratios are ten times as exact."""
+    study, data = virtual_logs(servo_arm(UNKNOWN), {"one": 1, "two": 2, "light": 3})
+    result = sw.identify(study, data=data)
+    joint = result.covariance
+    assert joint is not None
+    stds = [result[name].std for name in joint.names]
+    np.testing.assert_allclose(np.sqrt(np.diag(joint.matrix)), np.array(stds, dtype=float))
+    assert np.linalg.eigvalsh(joint.correlation)[0] > -1e-9
+    correlation, at = joint.correlation, joint.names.index
+    gain = at("servo_kp 1")
+    for name in ("inertia 1", "gravity_torque_1", "torque_limit 1"):
+        assert correlation[at(name), gain] > 0.95, name
+    assert abs(correlation[at("servo_delay 1"), gain]) < 0.3
+
+
+@pytest.mark.parametrize("factor", [1.0, 0.8])
+def test_a_payload_checks_the_stated_gain(factor: float) -> None:
+    """Values are those with the stated gain, without errors by the contradiction."""
+    study, data = virtual_logs(servo_arm(), {"one": 1, "loaded": 3})
+    servo = PositionServo("position", PERIOD, (factor * KP,), (UNKNOWN,))
+    study = replace(study, arm=replace(study.arm, position_servo=servo))
+    result = sw.identify(study, data=data)
+    messages = [w.message for w in result.warnings if w.code == "servo-gain-contradicted"]
+    assert len(messages) == (factor != 1.0)
+    for message in messages:
+        match = re.search(r"\((.+) to (.+)\), and the stated one is (.+?)[;,:|]", message)
+        assert match is not None
+        low, high, stated = map(float, match.groups())
+        assert low < KP < high
+        assert stated == pytest.approx(factor * KP)
+    inertia = result["inertia", 1]
+    assert inertia.value is not None
+    assert inertia.std is not None
+    assert abs(inertia.value - factor * TRUTH["inertia", 1]) < 3.0 * inertia.std
 
 
 def test_a_known_kd_separates_friction_from_it() -> None:

@@ -22,7 +22,7 @@ from strainwave.domain.arm.combinations import LINK_INERTIA
 from strainwave.domain.arm.description import unit_in
 from strainwave.domain.arm.parameter_table import COULOMB, OFFSET
 from strainwave.domain.keys import JointNumber, Key
-from strainwave.domain.results.distributions import CI95_STDS
+from strainwave.domain.results.distributions import CI95_STDS, chi_square_limit
 from strainwave.domain.results.estimates import physical_range
 from strainwave.identification.position_servo.candidates import LIMIT_UNREACHED
 from strainwave.identification.position_servo.fit import ServoFit
@@ -63,6 +63,7 @@ _MIN_SINGULAR_VALUE = 1e-9  # relative; unknowns without effect get infinite sta
 _MAX_SPLIT_ERROR = 0.3
 _MAX_EFFECT_MISFIT = 1.3  # beyond which an effect stands in for another
 _UNIFORM_HALF_WIDTH = 0.475  # of the 95 % interval, over the width of a uniform distribution
+_CONTRADICTED_LEVEL = 1e-3  # probability with which a correct gain seems contradicted
 _MAX_CHECK_ERROR = 0.1  # rms, over the motion: errors below are accepted whatever their cause
 
 _GEAR_UNITS = {STIFFNESS: "N m/rad", GEAR_DAMPING: "N m s/rad"}
@@ -88,12 +89,48 @@ class _Quantity:
     is_torque: bool = True  # and so in the unit of the gains
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Estimate:
+    """A reported parameter, its dependence on the unknowns, and why it has no value."""
+
+    parameter: Parameter
+    gradient: FloatArray  # (n_unknowns,)
+    warning: Diagnostic | None = None
+
+
 class _Covariance:
     """Covariances of the unknowns, with and without the prior share of kd."""
 
     def __init__(self, fit: ServoFit) -> None:
         self.total = self._with_priors(fit, 1.0)
         self.loose = self._with_priors(fit, _LOOSE)
+
+    def variance(self, name: str, gradient: FloatArray) -> float:
+        """Variance of a parameter, without errors of its own."""
+        matrix = self.loose if name in (KD, VISCOUS) else self.total
+        return float(gradient @ matrix @ gradient)
+
+    def of(self, estimates: Sequence[_Estimate]) -> FloatArray:
+        """Joint covariance of the parameters; NaN in rows and columns of those without a value.
+
+        Without the prior share, kd and viscous friction have larger errors, which other parameters
+        do not share. Each variance is that of its parameter: the rest is an error of its own.
+        """
+        gradients = np.array([each.gradient for each in estimates])
+        is_split = np.array([each.parameter.name in (KD, VISCOUS) for each in estimates])
+        scale = np.sqrt(np.diag(self.loose))
+        scale[scale == 0.0] = 1.0
+        squares, vectors = np.linalg.eigh((self.loose - self.total) / np.outer(scale, scale))
+        excess = gradients * scale @ vectors * np.sqrt(np.maximum(squares, 0.0))
+        excess[~is_split] = 0.0
+        joint = gradients @ self.total @ gradients.T + excess @ excess.T
+        stds = [each.parameter.std for each in estimates]
+        variances = np.square([np.nan if std is None else std for std in stds])
+        # the prior share can add to the dispersion of some direction between segments
+        shrinkage = np.sqrt(variances / np.maximum(np.diag(joint), variances))
+        joint *= np.outer(shrinkage, shrinkage)
+        np.fill_diagonal(joint, variances)
+        return np.asarray(joint)
 
     @staticmethod
     def _with_priors(fit: ServoFit, weight: float) -> FloatArray:
@@ -136,9 +173,7 @@ class _Covariance:
         return covariance
 
 
-def conclude(fit: ServoFit) -> tuple[tuple[Parameter, ...], tuple[Diagnostic, ...]]:
-    """The parameters, and why some have no value."""
-    covariance, parameters, warnings = _Covariance(fit), list[Parameter](), list[Diagnostic]()
+def _estimates(fit: ServoFit, covariance: _Covariance) -> Iterator[_Estimate]:
     scale = _scale(fit, covariance)
     for quantity in _quantities(fit):
         of_torque = quantity.is_torque
@@ -148,8 +183,7 @@ def conclude(fit: ServoFit) -> tuple[tuple[Parameter, ...], tuple[Diagnostic, ..
         if name == VISCOUS and per is None:
             back_emf = fit.loop.servo.back_emf_damping(joint or 1) or 0.0
             scaled = replace(scaled, value=scaled.value - back_emf)
-        matrix = covariance.loose if name in (KD, VISCOUS) else covariance.total
-        variance = float(scaled.gradient @ matrix @ scaled.gradient)
+        variance = covariance.variance(name, scaled.gradient)
         if of_torque and not (name == KP and scale is None):
             variance += (_LEAST_DEVIATION * scaled.value) ** 2
         std = float(np.sqrt(variance))
@@ -157,17 +191,16 @@ def conclude(fit: ServoFit) -> tuple[tuple[Parameter, ...], tuple[Diagnostic, ..
         variant = _why_not(fit, quantity.key, scaled.value, std, is_ratio=per is not None)
         if variant is not None:
             place = Place(joint=joint, parameter=name)
-            warnings.append(Diagnostic("servo-undetermined", place, variant, joint=joint or 1))
-            parameters.append(Parameter(*quantity.key, None, None, unit, "rigid", per=per))
+            warning = Diagnostic("servo-undetermined", place, variant, joint=joint or 1)
+            null = Parameter(*quantity.key, None, None, unit, "rigid", per=per)
+            yield _Estimate(null, scaled.gradient, warning)
             continue
         half = CI95_STDS * std
         if name == DELAY:
             std, half = _delay_error(fit, std)
         interval = (scaled.value - half, scaled.value + half)
-        parameters.append(
-            Parameter(*quantity.key, scaled.value, std, unit, "rigid", interval, per=per)
-        )
-    return tuple(parameters), tuple(warnings)
+        parameter = Parameter(*quantity.key, scaled.value, std, unit, "rigid", interval, per=per)
+        yield _Estimate(parameter, scaled.gradient)
 
 
 def _quantities(fit: ServoFit) -> Iterator[_Quantity]:
@@ -310,27 +343,47 @@ def _delay_error(fit: ServoFit, std: float) -> tuple[float, float]:
     return std, half
 
 
+def _contradiction(fit: ServoFit, covariance: _Covariance) -> Iterator[Diagnostic]:
+    """Warning of a known gain that known payloads exclude; the values are those with this gain."""
+    gain = fit.loop.servo.gain(1)
+    index = [k for k, unknown in enumerate(fit.unknowns) if unknown.keys == (SCALE,)]
+    if gain is None or not index:
+        return
+    factor = fit.values[SCALE]
+    std = float(np.hypot(np.sqrt(covariance.total[index[0], index[0]]), _LEAST_DEVIATION * factor))
+    half = float(np.sqrt(chi_square_limit(_CONTRADICTED_LEVEL, 1))) * std
+    if abs(factor - 1.0) > half:
+        ends = {"low": gain * (factor - half), "high": gain * (factor + half)}
+        place = Place(joint=1, parameter=KP)
+        values = {"stated": gain, "value": gain * factor, "factor": factor} | ends
+        yield Diagnostic("servo-gain-contradicted", place, **values)
+
+
 def rigid_model(fit: ServoFit) -> RigidModel:
     """The result as that of the rigid step."""
-    parameters, warnings = conclude(fit)
-    known = [p.value is not None for p in parameters]
+    covariance = _Covariance(fit)
+    estimates = list(_estimates(fit, covariance))
+    parameters = tuple(each.parameter for each in estimates)
+    warnings = tuple(each.warning for each in estimates if each.warning is not None)
+    warnings += tuple(_contradiction(fit, covariance))
     table = np.vstack([rows.jacobian for rows in fit.rows])
     scale = np.linalg.norm(table, axis=0)
     s = np.linalg.svd(table[:, scale > 0.0] / scale[scale > 0.0], compute_uv=False)
-    deviations = np.array([p.std if p.std is not None else np.nan for p in parameters])
     if fit.misfit > _WARNED_MISFIT:
         place = Place.in_records(*dict.fromkeys(s.record.name for s in fit.segments))
         warnings += (Diagnostic("servo-misfit", place, ratio=fit.misfit),)
     return RigidModel(
         parameters=parameters,
         solution=np.array([p.value if p.value is not None else np.nan for p in parameters]),
-        covariance=np.diag(deviations**2),
+        covariance=covariance.of(estimates),
         condition_number=float(s[0] / s[-1]),
         fit_percent={p.experiment: p.fit_percent for p in predict(fit)},
         bandwidth_hz=0.5 / float(np.max([s.record.sample_time for s in fit.segments])),
         decimation=1,
         n_rows=len(table),
-        status="determined" if all(known) else "partly-determined",
+        status="determined"
+        if all(p.value is not None for p in parameters)
+        else "partly-determined",
         warnings=warnings,
     )
 

@@ -168,40 +168,44 @@ class _Problem:
                 step = _STEP * unknown.scale * (-1.0 if value + unknown.scale > unknown.high else 1)
                 steps[j] = step
                 other = values | dict.fromkeys(unknown.keys, value + step)
-                changed[j] = {k: loop.prepare(other, record) for k, record in records.items()}
+                changed[j] = {k: loop.prepare(other, r, base[k]) for k, r in records.items()}
+        weights = {k: self._weights(inputs) for k, inputs in base.items()}
         jobs = []
         for k, segment in enumerate(self.segments):
             own = {j: each[id(segment.record)] for j, each in changed.items()}
-            jobs.append(partial(self._rows_of, k, base[id(segment.record)], own, steps, states[k]))
+            at = id(segment.record)
+            jobs.append(partial(self._rows_of, k, base[at], weights[at], own, steps, states[k]))
         return run_parallel(jobs)
+
+    def _weights(self, inputs: LoopInputs) -> dict[Key, FloatArray]:
+        """Derivatives (n_unknowns,) of the core's parameters that depend on the unknowns."""
+        weights: dict[Key, FloatArray] = {}
+        for j, unknown in enumerate(self.unknowns):
+            for key in unknown.keys:
+                for part, weight in (self.loop.row(key, inputs) or {}).items():
+                    if weight != 0.0:
+                        weights.setdefault(part, np.zeros(len(self.unknowns)))[j] += weight
+        return weights
 
     def _rows_of(
         self,
         k: int,
         inputs: LoopInputs,
+        weights: dict[Key, FloatArray],
         changed: dict[int, LoopInputs],
         steps: dict[int, float],
         state: FloatArray,
     ) -> SegmentRows:
         loop, segment, size = self.loop, self.segments[k], self.deviations[k]
-        run = loop.simulate(inputs, segment, state, derive=True)
-        columns = []
-        index = {key: i for i, key in enumerate(loop.directions[: run.derivatives.shape[-1]])}
-        for j, unknown in enumerate(self.unknowns):
-            if j in changed:
-                is_limit = unknown.keys[0][0] == LIMIT
-                if is_limit and not run.saturated.any():
-                    columns.append(np.zeros_like(run.angle))
-                    continue
-                other = loop.simulate(changed[j], segment, state).angle
-                columns.append((other - run.angle) / steps[j])
+        run = loop.simulate(inputs, segment, state, list(weights))
+        stacked = run.derivatives[..., : -loop.n_states] @ np.array(list(weights.values()))
+        for j, other in changed.items():
+            name, joint = self.unknowns[j].keys[0]
+            if name == LIMIT and not run.saturated[(joint or 1) - 1]:
                 continue
-            weights = np.zeros(run.derivatives.shape[-1])
-            for key in unknown.keys:
-                for part, weight in (loop.row(key, inputs) or {}).items():
-                    weights[index[part]] += weight
-            columns.append(run.derivatives @ weights)
-        stacked = np.stack(columns, axis=-1) / size[:, None]
+            angle = loop.simulate(other, segment, state).angle
+            stacked[..., j] = (angle - run.angle) / steps[j]
+        stacked /= size[:, None]
         of_state = (run.derivatives[..., -loop.n_states :] / size[:, None]).reshape(
             -1, loop.n_states
         )

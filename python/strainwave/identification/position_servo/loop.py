@@ -10,6 +10,7 @@ the difference of two readings, by `VELOCITY_LAG`; no log tells how a servo comp
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -35,7 +36,9 @@ VISCOUS = "motor_viscous_friction"  # with the damping of the back-EMF, beyond t
 VELOCITY_LAG = "velocity_lag"  # 0: velocity at the reading; 1: difference over one period
 LIMIT = "torque_limit"
 DELAY = "servo_delay"
-SCALE: Key = ("scale", None)  # gain by which all torques are divided [N m/rad]; left out: none
+# gain by which all torques are divided [N m/rad], or, with a known gain, the ratio of the gain that
+# known payloads ask for to it; left out: none
+SCALE: Key = ("scale", None)
 
 MOTOR_SHARE = "motor_share"  # of the motor in inertias of elastic joints
 STIFFNESS = "gear_stiffness"
@@ -61,6 +64,7 @@ class LoopInputs:
     vector: FloatArray  # parameters of the core
     servo: LinearServo
     step: float  # [s] of integrator and recording
+    commands: FloatArray  # (n_ticks, n_joints) [rad] at the ticks of the servo
     output: FloatArray  # (n_ticks, n_joints) part of the output that does not depend on the motion
 
 
@@ -93,21 +97,10 @@ class ServoLoop:
     has_stiff_gears: bool = False  # of a stiffness that is not fitted, for their effects
 
     @cached_property
-    def directions(self) -> tuple[Key, ...]:
-        """Parameters of the core by which it differentiates, and initial states."""
-        of_joints = [
-            (name, i) for name in (MOTOR_INERTIA, VISCOUS, COULOMB, OFFSET) for i in self.numbers
-        ]
-        of_gears = [
-            (name, i)
-            for name in (STIFFNESS, GEAR_DAMPING, *GEAR_EFFECTS)
-            for i in self.numbers
-            if (name, i) in self.plant_names
-        ]
-        states = [(name, i) for name in _INITIAL for i in self.numbers]
-        if self.has_gears:
-            states += [("initial_link_velocity", i) for i in self.numbers]
-        return (*self.arm.base.links, *of_joints, *of_gears, *states)
+    def _of_states(self) -> tuple[Key, ...]:
+        """Initial states of the core by which it differentiates."""
+        names = (*_INITIAL, "initial_link_velocity") if self.has_gears else _INITIAL
+        return tuple((name, i) for name in names for i in self.numbers)
 
     @cached_property
     def plant_names(self) -> frozenset[Key]:
@@ -168,8 +161,10 @@ class ServoLoop:
         wanted = np.full(len(masses), _MASS)
         return np.asarray(free @ np.linalg.lstsq(free[masses], wanted)[0])
 
-    def prepare(self, values: Values, record: ServoRecord) -> LoopInputs:
-        """Arm, servos and commands of a record."""
+    def prepare(
+        self, values: Values, record: ServoRecord, similar: LoopInputs | None = None
+    ) -> LoopInputs:
+        """Arm, servos and commands of a record; commands of equal delays are those of `similar`."""
         period, ratios = self.servo.period, self.arm.gear_ratios
         limits = np.array([values[LIMIT, i] for i in self.numbers])
         plant = self.arm.with_joints(
@@ -177,11 +172,17 @@ class ServoLoop:
             for joint, limit, ratio in zip(self.arm.joints, limits, ratios, strict=True)
         )
         ticks: FloatArray = period * np.arange(record.time[-1] / period + 2.0, dtype=np.float64)
-        output = np.empty((len(ticks), self.arm.n_joints))
+        commands = np.empty((len(ticks), self.arm.n_joints))
         width = common_period(period, record.sample_time)
         for i in range(self.arm.n_joints):
             late = ticks - values[DELAY, i + 1]
-            output[:, i] = values[KP, i + 1] * record.commands(late, i, self.hold, width)
+            if similar is not None and similar.values[DELAY, i + 1] == values[DELAY, i + 1]:
+                commands[:, i] = similar.commands[:, i]
+            else:
+                commands[:, i] = record.commands(late, i, self.hold, width)
+        output = commands * [values[KP, i] for i in self.numbers]
+        for i in range(self.arm.n_joints):
+            late = ticks - values[DELAY, i + 1]
             if record.feed_forward[:, i].any():
                 ahead = record.feed_forwards(late, i, width)
                 output[:, i] += (self.servo.torque_per_output(i + 1) or 1.0) * ahead
@@ -194,14 +195,18 @@ class ServoLoop:
         servo = LinearServo(tuple(self._law(values, i) for i in self.numbers), period, 1.0)
         vector = plant.parameter_vector(known)
         output *= np.sign(ratios) / limits
-        return LoopInputs(values, record, plant, vector, servo, step, output)
+        return LoopInputs(values, record, plant, vector, servo, step, commands, output)
 
     def simulate(
-        self, inputs: LoopInputs, segment: Segment, state: FloatArray, *, derive: bool = False
+        self,
+        inputs: LoopInputs,
+        segment: Segment,
+        state: FloatArray,
+        directions: Sequence[Key] | None = None,
     ) -> Simulation:
         """Simulate a segment from a state (n_states,) of angles and velocities of the joints.
 
-        With `derive`, the result has derivatives in `directions`.
+        With `directions`, the result has derivatives in these and then by the state.
         """
         period, ratios, n = self.servo.period, self.arm.gear_ratios, self.arm.n_joints
         time, first = segment.time, self.first_tick(segment)
@@ -221,12 +226,12 @@ class ServoLoop:
             linear_servo=inputs.servo,
         )
         position = (time - first * period) / step
-        if derive:
+        if directions is not None:
             recorded = sensitivities(
                 inputs.plant,
                 inputs.vector,
                 drive,
-                self.directions,
+                (*directions, *self._of_states),
                 sample_time=step,
                 samples=count,
                 record=["motor_angle", "voltage"],

@@ -31,6 +31,7 @@ from strainwave.identification.position_servo.loop import (
 )
 from strainwave.identification.position_servo.records import MAX_DELAY, ServoRecord
 from strainwave.numerics.filters import differentiate, low_pass, signal_band
+from strainwave.numerics.linalg import triangular_factor
 
 _DELAY_STEP = 2e-3  # [s] of the search; the fit converges from half a period of the fastest servo
 _MAX_ROWS = 20_000  # of a regression
@@ -174,6 +175,8 @@ def _solve(loop: ServoLoop, motions: Sequence[_Motion], delays: Sequence[float])
         values[LIMIT, i + 1] = _LIMIT_MARGIN * max(float(np.max(t)) for t in torques[i::n])
     if gains[0] is None and scale > 0.0:
         values[SCALE] = 1.0 / scale
+    elif gains[0] is not None and len({motion.record.payload for motion in motions}) > 1:
+        values[SCALE] = 1.0 / scale if scale > 0.0 else 1.0
     return LinearStart(values, float(np.mean(np.abs(residual)) / np.mean(np.abs(target))))
 
 
@@ -183,7 +186,8 @@ def _least_absolute(table: FloatArray, target: FloatArray) -> tuple[FloatArray, 
     norms[norms == 0.0] = 1.0
     scaled, weights = table / norms, np.ones(len(target))
     for _ in range(_PASSES):
-        x = np.linalg.lstsq(scaled * weights[:, None], target * weights)[0]
+        factor = triangular_factor(np.column_stack([scaled, target]) * weights[:, None])
+        x = np.linalg.lstsq(factor[:, :-1], factor[:, -1])[0]
         residual = target - scaled @ x
         size = np.abs(residual)
         weights = 1.0 / np.sqrt(size + _LEAST_SHARE * (size.max() + np.finfo(float).tiny))

@@ -57,9 +57,9 @@ def _explained(
     loop: ServoLoop, inputs: LoopInputs, segment: Segment, state: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Residuals without the part of the initial state, and the error of the state."""
-    run = loop.simulate(inputs, segment, state, derive=True)
+    run = loop.simulate(inputs, segment, state, directions=())
     residual = run.angle - segment.angle
-    of_state = run.derivatives[..., -loop.n_states :].reshape(residual.size, -1)
+    of_state = run.derivatives.reshape(residual.size, -1)
     if not (np.isfinite(residual).all() and np.isfinite(of_state).all()):
         raise NumericalFailure("the simulation of the servos diverges")
     error = np.linalg.lstsq(of_state, residual.ravel(), rcond=MIN_STATE_EFFECT)[0]
