@@ -79,11 +79,15 @@ def fit_position_servos(logs: Sequence[Log], arm: Arm) -> ServoFit:
     final = fit_from(best.loop, best.values, segments, floor, passes=3)
     if final is None:
         raise NumericalFailure("the simulation of the servos diverges in some segment")
-    changes = np.zeros((len(by_hold) + len(by_gears), len(final.x)))
     keys = [unknown.keys for unknown in final.unknowns]
     kept = [keys.index(unknown.keys) for unknown in plain.unknowns]
-    changes[:, kept] = np.vstack([by_hold, by_gears])
-    return replace(final, rival_changes=changes, has_rival_effect=best.has_rival_effect)
+    changes = np.zeros((len(by_hold), len(final.x)))
+    changes[:, kept] = by_hold
+    return replace(
+        final,
+        rival_changes=np.vstack([changes, by_gears]),
+        has_rival_effect=best.has_rival_effect,
+    )
 
 
 def resolutions(arm: Arm, records: Sequence[ServoRecord]) -> FloatArray:
