@@ -74,20 +74,14 @@ def fit_position_servos(logs: Sequence[Log], arm: Arm) -> ServoFit:
     if elastic:
         best = choose_stiffness(best, elastic) or best
     best, by_hold = choose_hold(best)
-    plain = best
     best, by_gears = choose_gear_effects(best)
+    if best.loop.has_stiff_gears:  # without their effect, residuals did not show the commands
+        best, by_hold = choose_hold(best)
     final = fit_from(best.loop, best.values, segments, floor, passes=3)
     if final is None:
         raise NumericalFailure("the simulation of the servos diverges in some segment")
-    keys = [unknown.keys for unknown in final.unknowns]
-    kept = [keys.index(unknown.keys) for unknown in plain.unknowns]
-    changes = np.zeros((len(by_hold), len(final.x)))
-    changes[:, kept] = by_hold
-    return replace(
-        final,
-        rival_changes=np.vstack([changes, by_gears]),
-        has_rival_effect=best.has_rival_effect,
-    )
+    changes = np.vstack([by_hold, by_gears])
+    return replace(final, rival_changes=changes, has_rival_effect=best.has_rival_effect)
 
 
 def resolutions(arm: Arm, records: Sequence[ServoRecord]) -> FloatArray:

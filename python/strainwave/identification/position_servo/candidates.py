@@ -127,6 +127,7 @@ def choose_hold(start: ServoFit) -> tuple[ServoFit, FloatArray]:
     rows = sum(segment.angle.size for segment in start.segments)
     most = min(fit.cost for fit in fits) + _PLAUSIBLE_COST * rows
     best, *rivals = [fit for fit in fits if fit.cost <= most]
+    best = replace(best, has_rival_effect=start.has_rival_effect)
     return best, np.array([rival.x - best.x for rival in rivals]).reshape(-1, len(best.x))
 
 
@@ -144,7 +145,7 @@ def choose_gear_effects(fit: ServoFit) -> tuple[ServoFit, FloatArray]:
     plain, effects, changes = fit, list[tuple[ServoFit, FloatArray]](), list[FloatArray]()
     for i in plain.loop.numbers:
         for name in _tried_effects(plain.loop.arm, i):
-            rival = _with_effect(plain, i, name, _GEAR_HZ)
+            rival = _with_effect(plain, i, name, _GEAR_HZ, _GEAR_DAMPING_RATIO)
             if rival is None:
                 continue
             is_decisive, errors = rival.cost < plain.cost - _DECISIVE_COST, none
@@ -165,9 +166,11 @@ def choose_gear_effects(fit: ServoFit) -> tuple[ServoFit, FloatArray]:
     return plain, np.array(changes).reshape(-1, len(plain.x))
 
 
-def _with_effect(fit: ServoFit, joint: JointNumber, name: str, hz: float) -> ServoFit | None:
+def _with_effect(
+    fit: ServoFit, joint: JointNumber, name: str, hz: float, damping_ratio: float
+) -> ServoFit | None:
     """Fit of a joint with an effect and a stiff gear of a resonance [Hz]."""
-    loop, values = _with_gears(fit, [joint], hz, _DAMPING_RATIOS[name])
+    loop, values = _with_gears(fit, [joint], hz, damping_ratio)
     geared = loop.arm.with_joint(joint, effects=(name.replace("_", "-"),))
     loop = replace(loop, arm=Arm.of(geared), has_stiff_gears=True)
     values = {(name, joint): _STARTS[name]} | values
@@ -180,13 +183,13 @@ def _stiffened(fit: ServoFit, joint: JointNumber, name: str) -> tuple[ServoFit, 
     These are changes by other minima, which the share of the motor tells apart, and the effect of
     a finite resonance f: it is of order 1 / f^2, so that a third of the last change remains.
     """
-    softer = []
+    softer, ratio = [], _DAMPING_RATIOS[name]
     for share in (fit.values[MOTOR_SHARE, joint], *_OTHER_SHARES):
         start = replace(fit, values=fit.values | {(MOTOR_SHARE, joint): share})
-        each = _with_effect(start, joint, name, 0.5 * _STIFF_GEAR_HZ)
+        each = _with_effect(start, joint, name, 0.5 * _STIFF_GEAR_HZ, ratio)
         softer += [each] if each is not None else []
     best = min(softer, key=lambda each: each.cost, default=fit)
-    stiff = _with_effect(best, joint, name, _STIFF_GEAR_HZ) or best
+    stiff = _with_effect(best, joint, name, _STIFF_GEAR_HZ, ratio) or best
     plausible = [each for each in softer if each.cost < best.cost + _DECISIVE_COST]
     others = [each.x - best.x for each in plausible if each is not best]
     return stiff, np.array([(stiff.x - best.x) / 3.0, *others])
