@@ -145,7 +145,7 @@ def choose_gear_effects(fit: ServoFit) -> tuple[ServoFit, FloatArray]:
     plain, effects, changes = fit, list[tuple[ServoFit, FloatArray]](), list[FloatArray]()
     for i in plain.loop.numbers:
         for name in _tried_effects(plain.loop.arm, i):
-            rival = _with_effect(plain, i, name, _GEAR_HZ, _GEAR_DAMPING_RATIO)
+            rival = _with_effect(plain, i, name, _GEAR_HZ, _DAMPING_RATIOS[name])
             if rival is None:
                 continue
             is_decisive, errors = rival.cost < plain.cost - _DECISIVE_COST, none
