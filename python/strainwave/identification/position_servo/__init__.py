@@ -74,15 +74,13 @@ def fit_position_servos(logs: Sequence[Log], arm: Arm) -> ServoFit:
     if elastic:
         best = choose_stiffness(best, elastic) or best
     best, by_hold = choose_hold(best)
-    plain = best
     best, by_gears = choose_gear_effects(best)
+    if best.loop.has_stiff_gears:  # without their effect, residuals did not show the commands
+        best, by_hold = choose_hold(best)
     final = fit_from(best.loop, best.values, segments, floor, passes=3)
     if final is None:
         raise NumericalFailure("the simulation of the servos diverges in some segment")
-    changes = np.zeros((len(by_hold) + len(by_gears), len(final.x)))
-    keys = [unknown.keys for unknown in final.unknowns]
-    kept = [keys.index(unknown.keys) for unknown in plain.unknowns]
-    changes[:, kept] = np.vstack([by_hold, by_gears])
+    changes = np.vstack([by_hold, by_gears])
     return replace(final, rival_changes=changes, has_rival_effect=best.has_rival_effect)
 
 

@@ -38,8 +38,10 @@ _DECISIVE_COST = 40.0
 # resolution do not tell courses whose root mean squares differ by less than 0.5 %.
 _PLAUSIBLE_COST = 0.01
 _GEAR_HZ = 100.0  # resonance of a gear that is stiff beside a servo, which is below 20 Hz
+_STIFF_GEAR_HZ = 400.0  # inertias are off by (f / 400 Hz)^2 at f
 _RESONANCES_HZ = (8.0, 16.0, 32.0, 64.0)  # where the search of a stiffness starts
 _MOTOR_SHARE = 0.5  # of inertias, where it starts
+_OTHER_SHARES = (0.2, 0.8)  # where the fit of an effect starts again
 _GEAR_DAMPING_RATIO = 0.02
 _MAX_JOINTS_WITH_EFFECTS = 1  # with couplings, effects of one joint hide in those of others
 
@@ -125,6 +127,7 @@ def choose_hold(start: ServoFit) -> tuple[ServoFit, FloatArray]:
     rows = sum(segment.angle.size for segment in start.segments)
     most = min(fit.cost for fit in fits) + _PLAUSIBLE_COST * rows
     best, *rivals = [fit for fit in fits if fit.cost <= most]
+    best = replace(best, has_rival_effect=start.has_rival_effect)
     return best, np.array([rival.x - best.x for rival in rivals]).reshape(-1, len(best.x))
 
 
@@ -132,36 +135,64 @@ def choose_gear_effects(fit: ServoFit) -> tuple[ServoFit, FloatArray]:
     """The fit with the effect of a gear that the residuals show, and changes by others.
 
     Friction that grows with the load hides in Coulomb friction unless the load changes, so that it
-    is a rival even where it explains nothing.
+    is a rival even where it explains nothing. The changes are (n, n_unknowns) of the fit.
     """
     none = np.zeros((0, len(fit.x)))
     arm = fit.loop.arm
     is_small = arm.has_planar_program and arm.n_joints <= _MAX_JOINTS_WITH_EFFECTS
     if fit.loop.has_gears or not is_small:
         return fit, none
-    plain, effects, changes = fit, list[ServoFit](), list[FloatArray]()
+    plain, effects, changes = fit, list[tuple[ServoFit, FloatArray]](), list[FloatArray]()
     for i in plain.loop.numbers:
         for name in _tried_effects(plain.loop.arm, i):
-            loop, values = _with_gears(plain, [i], _GEAR_HZ)
-            geared = loop.arm.with_joint(i, effects=(name.replace("_", "-"),))
-            loop = replace(loop, arm=Arm.of(geared), has_stiff_gears=True)
-            values |= {(name, i): _STARTS[name]}
-            rival = fit_from(loop, values, plain.segments, plain.resolution, passes=2)
+            rival = _with_effect(plain, i, name, _GEAR_HZ, _DAMPING_RATIOS[name])
             if rival is None:
                 continue
+            is_decisive, errors = rival.cost < plain.cost - _DECISIVE_COST, none
+            if is_decisive and rival.values[name, i] >= _LEAST_SIZES[name]:
+                rival, errors = _stiffened(rival, i, name)
             if rival.values[name, i] >= _LEAST_SIZES[name]:
-                effects.append(rival)
-            elif rival.cost < plain.cost - _DECISIVE_COST:
+                effects.append((rival, errors))
+            elif is_decisive:
                 plain = _restarted(plain, rival)
             if name == "load_friction":
                 changes += _changes(plain, rival, i)
-    best = min(effects, key=lambda each: each.cost, default=plain)
+    best, errors = min(effects, key=lambda each: each[0].cost, default=(plain, none))
     if best.cost < plain.cost - _DECISIVE_COST:  # others that explain a part are its rivals
-        others = [each for each in effects if each is not best and each.cost < plain.cost]
-        rivals = [_difference(plain.unknowns, best, each) for each in others]
+        others = [each for each, _ in effects if each is not best and each.cost < plain.cost]
+        rivals = [_difference(best.unknowns, best, each) for each in others]
         best = replace(best, has_rival_effect=bool(rivals))
-        return best, np.array(rivals).reshape(-1, len(plain.x))
+        return best, np.array([*errors, *rivals]).reshape(-1, len(best.x))
     return plain, np.array(changes).reshape(-1, len(plain.x))
+
+
+def _with_effect(
+    fit: ServoFit, joint: JointNumber, name: str, hz: float, damping_ratio: float
+) -> ServoFit | None:
+    """Fit of a joint with an effect and a stiff gear of a resonance [Hz]."""
+    loop, values = _with_gears(fit, [joint], hz, damping_ratio)
+    geared = loop.arm.with_joint(joint, effects=(name.replace("_", "-"),))
+    loop = replace(loop, arm=Arm.of(geared), has_stiff_gears=True)
+    values = {(name, joint): _STARTS[name]} | values
+    return fit_from(loop, values, fit.segments, fit.resolution, passes=2)
+
+
+def _stiffened(fit: ServoFit, joint: JointNumber, name: str) -> tuple[ServoFit, FloatArray]:
+    """The fit with a gear as good as rigid, and errors (n, n_unknowns) that remain.
+
+    These are changes by other minima, which the share of the motor tells apart, and the effect of
+    a finite resonance f: it is of order 1 / f^2, so that a third of the last change remains.
+    """
+    softer, ratio = [], _DAMPING_RATIOS[name]
+    for share in (fit.values[MOTOR_SHARE, joint], *_OTHER_SHARES):
+        start = replace(fit, values=fit.values | {(MOTOR_SHARE, joint): share})
+        each = _with_effect(start, joint, name, 0.5 * _STIFF_GEAR_HZ, ratio)
+        softer += [each] if each is not None else []
+    best = min(softer, key=lambda each: each.cost, default=fit)
+    stiff = _with_effect(best, joint, name, _STIFF_GEAR_HZ, ratio) or best
+    plausible = [each for each in softer if each.cost < best.cost + _DECISIVE_COST]
+    others = [each.x - best.x for each in plausible if each is not best]
+    return stiff, np.array([(stiff.x - best.x) / 3.0, *others])
 
 
 def _restarted(plain: ServoFit, rival: ServoFit) -> ServoFit:
@@ -183,19 +214,20 @@ def choose_stiffness(fit: ServoFit, joints: Sequence[JointNumber]) -> ServoFit |
     """The fit with elastic gears in joints, from the resonance with the least residuals."""
     rivals = []
     for hz in _RESONANCES_HZ:
-        loop, values = _with_gears(fit, joints, hz)
+        loop, values = _with_gears(fit, joints, hz, _GEAR_DAMPING_RATIO)
         rival = fit_from(loop, values, fit.segments, fit.resolution, passes=2)
         rivals += [rival] if rival is not None else []
     return min(rivals, key=lambda each: each.cost, default=None)
 
 
 def _with_gears(
-    fit: ServoFit, joints: Sequence[JointNumber], hz: float
+    fit: ServoFit, joints: Sequence[JointNumber], hz: float, damping_ratio: float
 ) -> tuple[ServoLoop, Values]:
     """The loop with elastic gears of a resonance [Hz] in joints, and its start."""
     arm, values = fit.loop.arm, dict(fit.values)
     omega, n_links = 2.0 * np.pi * hz, len(arm.base.links)
-    particular = arm.base.particular(np.full(arm.n_joints, _MOTOR_SHARE))
+    shares = [values.get((MOTOR_SHARE, i), _MOTOR_SHARE) for i in fit.loop.numbers]
+    particular = arm.base.particular(np.array(shares))
     body = particular @ np.array([values[column.key] for column in arm.base.columns])
     links = arm.link_inertias(body[:n_links])
     motors = body[n_links:] / arm.gear_ratios**2
@@ -204,9 +236,9 @@ def _with_gears(
         link, motor = float(links[joint - 1]), float(motors[joint - 1])
         stiffness = (link * motor / (link + motor) if motor > 0.0 else link) * omega**2
         values |= {
-            (MOTOR_SHARE, joint): _MOTOR_SHARE,
+            (MOTOR_SHARE, joint): shares[joint - 1],
             (STIFFNESS, joint): stiffness,
-            (GEAR_DAMPING, joint): 2.0 * _GEAR_DAMPING_RATIO * stiffness / omega,
+            (GEAR_DAMPING, joint): 2.0 * damping_ratio * stiffness / omega,
         }
         geared = Arm.of(geared.with_joint(joint, spring="linear", effects=()))
     return replace(fit.loop, arm=geared), values
@@ -214,11 +246,16 @@ def _with_gears(
 
 # sizes below which an effect is none: a tenth of a count of 12 bits, and of usual friction of teeth
 _LEAST_SIZES = dict(zip(GEAR_EFFECTS, (1.5e-4, 5e-3), strict=True))
+# Of the stiff gear of an effect. Teeth in contact hardly ring; but the damping acts between teeth
+# without contact too, where a larger one would close the gap.
+_DAMPING_RATIOS = dict(zip(GEAR_EFFECTS, (0.1, 0.5), strict=True))
 _STARTS = dict(zip(GEAR_EFFECTS, (1e-3, 0.05), strict=True))  # [rad], 1
 
 
 def _difference(unknowns: Sequence[Unknown], fit: ServoFit, rival: ServoFit) -> FloatArray:
-    return np.array([rival.values[u.keys[0]] - fit.values[u.keys[0]] for u in unknowns])
+    """Change of the unknowns by a rival; zero for those that it has not."""
+    keys = [unknown.keys[0] for unknown in unknowns]
+    return np.array([rival.values.get(key, fit.values[key]) - fit.values[key] for key in keys])
 
 
 def _changes(plain: ServoFit, rival: ServoFit, joint: JointNumber) -> list[FloatArray]:
