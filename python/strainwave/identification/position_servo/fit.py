@@ -211,6 +211,8 @@ class _Problem:
         )
         residual = ((run.angle - segment.angle) / size).reshape(-1, 1)
         right = np.hstack([stacked.reshape(len(residual), -1), residual])
+        if not (np.isfinite(right).all() and np.isfinite(of_state).all()):
+            raise NumericalFailure("the simulation of the servos diverges")
         Q, R = np.linalg.qr(of_state)
         onto = Q.T @ right
         to_state = -np.linalg.lstsq(R, onto, rcond=MIN_STATE_EFFECT)[0]
