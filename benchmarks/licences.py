@@ -47,6 +47,7 @@ EXAMINED = {
     "axe-playwright-python": "MIT (its file LICENSE); the axe-core in it is under MPL-2.0",
     "cmeel-qhull": "Qhull: free to use, change and distribute with its notice",
     "docutils": "public domain and BSD; one of its files, an editor's mode, is under the GPL",
+    "usd-core": "Apache 2.0 with another clause on trademarks (Tomorrow Open Source Technology)",
 }
 """Package with ambiguous metadata -> its licence."""
 

@@ -336,8 +336,6 @@ def rigid_model_of(document: Mapping[str, Any], n_parameters: int) -> RigidModel
     if entry.prediction is None:
         return None
     solution, motion = np.array(entry.prediction.solution), np.array(entry.prediction.motion)
-    if not motion.size:  # of servos without torque
-        return None
     if solution.shape != (n_parameters,) or motion.ndim != 3 or len(motion) != 3:
         raise InvalidInput(
             f"has {len(solution)} values and a motion of shape {motion.shape}; expected "

@@ -56,8 +56,8 @@ _LEAST_DEVIATION = 0.002  # relative, of torques: as of the whole-arm fit, error
 _LOOP_TIMING = 5e-5
 _LAG_ERROR = 0.2  # periods of a servo: filters and resolution of its velocity
 # Relative errors of the effects of gears. The damping of contacts is not known and acts in the gap
-# too: backlash of drawn gears comes out up to 27 % too small. Load friction is within 1 % in four of
-# five drawn gears.
+# too: backlash of drawn gears comes out up to 27 % too small. Load friction is within 1 % in four
+# of five drawn gears.
 _EFFECT_ERRORS = dict(zip(GEAR_EFFECTS, (0.2, 0.05), strict=True))
 _LOOSE = 1e-2  # weight of the prior share of kd where the data have to tell kd from friction
 _MIN_SINGULAR_VALUE = 1e-9  # relative; unknowns without effect get infinite standard deviations

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from strainwave.domain import FloatArray, Log, Payload
 from strainwave.dynamics.arm import Arm
@@ -68,6 +67,8 @@ def _course(
     if hold is ReferenceHold.LINEAR:
         return np.interp(times, time, values)
     if hold is ReferenceHold.SMOOTH:
+        from scipy.interpolate import CubicSpline
+
         return np.asarray(CubicSpline(time, values)(np.clip(times, time[0], time[-1])))
     integral = np.concatenate([[0.0], np.cumsum(values[:-1] * np.diff(time))])
     edges = (np.interp(times + half, time, integral) for half in (0.5 * width, -0.5 * width))
