@@ -24,7 +24,11 @@ from strainwave.identification.position_servo.loop import (
 )
 from strainwave.identification.position_servo.records import MAX_DELAY, ReferenceHold, Segment
 from strainwave.identification.position_servo.states import deviations, initial_state
-from strainwave.identification.position_servo.unknowns import unknowns_of
+from strainwave.identification.position_servo.unknowns import (
+    EFFECT_SCALES,
+    USUAL_MOTOR_SHARE,
+    unknowns_of,
+)
 
 _CALM_RATIO = 2.0  # of residuals over their median
 _LIMITS = np.geomspace(0.1, 1.6, 16)  # of a torque limit, over the largest torque of the start
@@ -40,7 +44,6 @@ _PLAUSIBLE_COST = 0.01
 _GEAR_HZ = 100.0  # resonance of a gear that is stiff beside a servo, which is below 20 Hz
 _STIFF_GEAR_HZ = 400.0  # inertias are off by (f / 400 Hz)^2 at f
 _RESONANCES_HZ = (8.0, 16.0, 32.0, 64.0)  # where the search of a stiffness starts
-_MOTOR_SHARE = 0.5  # of inertias, where it starts
 _OTHER_SHARES = (0.2, 0.8)  # where the fit of an effect starts again
 _GEAR_DAMPING_RATIO = 0.02
 _MAX_JOINTS_WITH_EFFECTS = 1  # with couplings, effects of one joint hide in those of others
@@ -173,7 +176,7 @@ def _with_effect(
     loop, values = _with_gears(fit, [joint], hz, damping_ratio)
     geared = loop.arm.with_joint(joint, effects=(name.replace("_", "-"),))
     loop = replace(loop, arm=Arm.of(geared), has_stiff_gears=True)
-    values = {(name, joint): _STARTS[name]} | values
+    values = {(name, joint): EFFECT_SCALES[name]} | values
     return fit_from(loop, values, fit.segments, fit.resolution, passes=2)
 
 
@@ -226,7 +229,7 @@ def _with_gears(
     """The loop with elastic gears of a resonance [Hz] in joints, and its start."""
     arm, values = fit.loop.arm, dict(fit.values)
     omega, n_links = 2.0 * np.pi * hz, len(arm.base.links)
-    shares = [values.get((MOTOR_SHARE, i), _MOTOR_SHARE) for i in fit.loop.numbers]
+    shares = [values.get((MOTOR_SHARE, i), USUAL_MOTOR_SHARE) for i in fit.loop.numbers]
     particular = arm.base.particular(np.array(shares))
     body = particular @ np.array([values[column.key] for column in arm.base.columns])
     links = arm.link_inertias(body[:n_links])
@@ -249,7 +252,6 @@ _LEAST_SIZES = dict(zip(GEAR_EFFECTS, (1.5e-4, 5e-3), strict=True))
 # Of the stiff gear of an effect. Teeth in contact hardly ring; but the damping acts between teeth
 # without contact too, where a larger one would close the gap.
 _DAMPING_RATIOS = dict(zip(GEAR_EFFECTS, (0.1, 0.5), strict=True))
-_STARTS = dict(zip(GEAR_EFFECTS, (1e-3, 0.05), strict=True))  # [rad], 1
 
 
 def _difference(unknowns: Sequence[Unknown], fit: ServoFit, rival: ServoFit) -> FloatArray:

@@ -32,8 +32,11 @@ _KD_SHARE_STD = 0.29  # of a uniform distribution on [0, 1]
 _LAG_STD = 0.5  # of a servo's velocity, in periods: that of the law is at the reading
 # of the dry friction in both directions; the offset replaces gravity where the angle hardly changes
 _ASYMMETRY = 0.5
-_MOTOR_SHARE, _MOTOR_SHARE_STD = 0.5, 0.3  # designs match motor and link within a factor
-_EFFECT_SCALES = dict(zip(GEAR_EFFECTS, (1e-3, 0.05), strict=True))  # [rad], 1
+_MOTOR_SHARE_STD = 0.3  # designs match motor and link within a factor
+USUAL_MOTOR_SHARE = 0.5
+"""Share of the motor in the inertia of an elastic joint, before the data tell it."""
+EFFECT_SCALES = dict(zip(GEAR_EFFECTS, (1e-3, 0.05), strict=True))
+"""Usual sizes of effects of gears [rad], 1: their start and their scale."""
 
 
 def unknowns_of(loop: ServoLoop, values: Values) -> tuple[list[Unknown], list[Prior]]:
@@ -63,29 +66,21 @@ def unknowns_of(loop: ServoLoop, values: Values) -> tuple[list[Unknown], list[Pr
         if servo.damping_gain(i) is None or servo.gain(1) is None:
             keys.append((KD, size, 0.0, np.inf))
             share: tuple[tuple[Key, float], ...] = (((KD, i), 1.0), ((VISCOUS, i), -1.0))
-            priors.append(
-                Prior(
-                    share,
-                    0.0,
-                    2.0  # of a positive base parameter, over the largest of its unit
-                    * _KD_SHARE_STD
-                    * damping
-                    + 1e-3 * torque,
-                )
-            )
+            # kd less viscous friction is (2 share - 1) times the damping
+            priors.append(Prior(share, 0.0, 2.0 * _KD_SHARE_STD * damping + 1e-3 * torque))
         if i > 1 and servo.gain(i) is None:
             keys.append((KP, 0.3 * values[KP, i], 0.01 * values[KP, i], np.inf))
         if isinstance(servo.delay, tuple) and servo.delay_of(i) is None:
             keys.append((DELAY, 0.003, 0.0, 1.2 * MAX_DELAY))
         if loop.arm.joints[i - 1].elastic:
             keys.append((MOTOR_SHARE, 0.2, 0.02, 0.98))
-            priors.append(Prior((((MOTOR_SHARE, i), 1.0),), _MOTOR_SHARE, _MOTOR_SHARE_STD))
+            priors.append(Prior((((MOTOR_SHARE, i), 1.0),), USUAL_MOTOR_SHARE, _MOTOR_SHARE_STD))
             if not loop.has_stiff_gears:
                 keys.append((STIFFNESS, 0.3 * values[STIFFNESS, i], 0.0, np.inf))
                 keys.append((GEAR_DAMPING, values[GEAR_DAMPING, i], 0.0, np.inf))
             keys += [
                 (name, scale, 0.0, np.inf)
-                for name, scale in _EFFECT_SCALES.items()
+                for name, scale in EFFECT_SCALES.items()
                 if (name, i) in loop.plant_names
             ]
         unknowns += [Unknown(((name, i),), *of) for name, *of in keys]
