@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from xml.etree import ElementTree as ET
 
@@ -311,22 +311,20 @@ def _add_servo(
     elastic joint. For a rigid joint the gains are larger instead, by the same share: at its limit
     the servo does not change the inertia.
     """
-    gains, share = servo_gains(arm, number, servo), 1.0
+    gains, share = servo_gains(arm, number, servo).continuous(servo.period), 1.0
     if not arm.joint(number).elastic:
         inertia = _inertia_of_joint(arm, number)
         share = inertia / (inertia - inertia_of_hold(arm, number, inertia))
-    damping = max(gains.damping - 0.5 * gains.stiffness * servo.period, 0.0)
-    stiffness, damping = share * gains.stiffness, share * damping
+    stiffness, damping = share * gains.stiffness, share * gains.damping
     # `position` has no damping before MuJoCo 3.1
     element = ET.SubElement(actuators, "general", attributes, biastype="affine")
     element.set("gainprm", numbers(stiffness))
     element.set("biasprm", numbers(0.0, -stiffness, -damping))
     if gains.limit is not None:
         element.set("forcerange", numbers(-gains.limit, gains.limit))
-    delay = gains.delay + 0.5 * servo.period
     if target.has("delay"):
-        element.set("delay", numbers(delay))
-        element.set("nsample", str(math.ceil(delay / STEP_S) + 1))
+        element.set("delay", numbers(gains.delay))
+        element.set("nsample", str(math.ceil(gains.delay / STEP_S) + 1))
 
 
 NOTE_OF_HOLD = (
@@ -368,7 +366,18 @@ class ServoGains:
     damping: float  # [N m s/rad]
     delay: float  # [s]
     limit: float | None  # [N m]
-    is_relative: bool  # whether torques are per kp
+    is_relative: bool  # torques are per kp: the stiffness is 1
+
+    def continuous(self, period: float) -> ServoGains:
+        """The nearest law in continuous time: stiffness (ref(t - delay) - q) - damping dq, limited.
+
+        The servo holds its output over a period h, on average h/2 late: that is -h/2 stiffness of
+        damping, and h/2 of delay. A simulation with semi-implicit Euler steps has the law in
+        continuous time without such a change.
+        """
+        late = 0.5 * period
+        damping = max(self.damping - late * self.stiffness, 0.0)
+        return replace(self, damping=damping, delay=self.delay + late)
 
 
 def servo_gains(arm: IdentifiedArm, number: int, servo: PositionServo) -> ServoGains:

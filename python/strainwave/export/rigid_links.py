@@ -9,7 +9,7 @@ from strainwave.domain.arm.kinds.base import Body
 from strainwave.domain.keys import JointNumber
 from strainwave.errors import InvalidInput
 from strainwave.export import source
-from strainwave.export.mjcf_drives import servo_gains
+from strainwave.export.mjcf_drives import ServoGains, servo_gains
 from strainwave.export.source import IdentifiedArm
 from strainwave.export.urdf import projected_links
 
@@ -31,22 +31,6 @@ def lost_shapes(arm: IdentifiedArm) -> tuple[Diagnostic, ...]:
 
 
 @dataclass(frozen=True, slots=True)
-class ServoLaw:
-    """The law in continuous time that is nearest to that of a joint's position servo.
-
-    stiffness (ref(t - delay) - q) - damping dq, limited. The servo holds its output over its
-    period h, on average h/2 late: that is -h/2 stiffness of damping, and h/2 of delay. A simulation
-    with semi-implicit Euler steps has the law in continuous time without such a change.
-    """
-
-    stiffness: float  # [N m/rad, N/m]
-    damping: float  # [N m s/rad, N s/m]; with the viscous friction, unless that is known
-    limit: float | None  # [N m, N]
-    delay: float  # [s]
-    is_relative: bool  # torques are per gain: the stiffness is 1
-
-
-@dataclass(frozen=True, slots=True)
 class RigidLink:
     """A link behind a rigid gear: its body, friction and inertia at its joint, and its servo."""
 
@@ -58,7 +42,7 @@ class RigidLink:
     viscous_friction: float  # [N m s/rad, N s/m]
     dry_friction: float  # [N m, N]
     static_friction: float  # [N m, N] at standstill, not below the dry friction
-    servo: ServoLaw | None
+    servo: ServoGains | None  # the nearest law in continuous time
 
     @property
     def limits(self) -> JointLimits:
@@ -105,8 +89,8 @@ def _breakaway(arm: IdentifiedArm, number: JointNumber) -> float:
     return (dry + excess) / abs(arm.joint(number).gear_ratio) if excess else 0.0
 
 
-def servo_law(arm: IdentifiedArm, number: JointNumber) -> ServoLaw | None:
-    """The position servo of a joint; None without.
+def servo_law(arm: IdentifiedArm, number: JointNumber) -> ServoGains | None:
+    """The position servo of a joint in continuous time; None without.
 
     Raises `InvalidInput` if its gain is unknown, and torques of several joints are relative to
     different gains. A single joint has the same motion with a gain of 1.
@@ -114,13 +98,10 @@ def servo_law(arm: IdentifiedArm, number: JointNumber) -> ServoLaw | None:
     servo = arm.study.arm.position_servo
     if servo is None:
         return None
-    gains, late = servo_gains(arm, number, servo), 0.5 * servo.period
+    gains = servo_gains(arm, number, servo)
     if gains.is_relative and arm.study.arm.n_joints > 1:
         raise no_torques(arm, number)
-    damping = max(gains.damping - late * gains.stiffness, 0.0)
-    return ServoLaw(
-        gains.stiffness, damping, gains.limit, gains.delay + late, is_relative=gains.is_relative
-    )
+    return gains.continuous(servo.period)
 
 
 def no_torques(arm: IdentifiedArm, number: JointNumber) -> InvalidInput:
