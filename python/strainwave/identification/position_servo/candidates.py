@@ -174,7 +174,7 @@ def _with_effect(
 ) -> ServoFit | None:
     """Fit of a joint with an effect and a stiff gear of a resonance [Hz]."""
     loop, values = _with_gears(fit, [joint], hz, damping_ratio)
-    geared = loop.arm.with_joint(joint, effects=(name.replace("_", "-"),))
+    geared = loop.arm.with_joint(joint, effects=(GEAR_EFFECTS[name],))
     loop = replace(loop, arm=Arm.of(geared), has_stiff_gears=True)
     values = {(name, joint): EFFECT_SCALES[name]} | values
     return fit_from(loop, values, fit.segments, fit.resolution, passes=2)
@@ -208,8 +208,8 @@ def _restarted(plain: ServoFit, rival: ServoFit) -> ServoFit:
 def _tried_effects(arm: Arm, joint: JointNumber) -> Iterator[str]:
     """Parameters of effects that a joint may have, by those that the study names."""
     effects = arm.joints[joint - 1].effects
-    for name in GEAR_EFFECTS:
-        if effects == "auto" or name.replace("_", "-") in effects:
+    for name, effect in GEAR_EFFECTS.items():
+        if effects == "auto" or effect in effects:
             yield name
 
 

@@ -43,8 +43,8 @@ SCALE: Key = ("scale", None)
 MOTOR_SHARE = "motor_share"  # of the motor in inertias of elastic joints
 STIFFNESS = "gear_stiffness"
 GEAR_DAMPING = "gear_damping"
-GEAR_EFFECTS = ("backlash", "load_friction")
-"""Effects of gears, by their parameters."""
+GEAR_EFFECTS = {"backlash": "backlash", "load_friction": "load-friction"}
+"""Parameter -> effect of a gear."""
 
 _STEPS_PER_PERIOD = 15.0  # of the fastest resonance: a relative error of 2e-4 in its frequency
 _MASS = 10.0  # [kg] above what base parameters of arms with position servos ask for
