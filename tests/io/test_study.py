@@ -96,6 +96,12 @@ FAULTS = {
         1,
         r"'limit' is -10.0, but it should be greater than 0",
     ),
+    "too large": (
+        "limit = 10.0",
+        "limit = 1e300",
+        1,
+        r"'limit' is 1e\+300, but it should be less than or equal to 1000000000000",
+    ),
     "not finite": ("limit = 10.0", "limit = nan", 1, r"'limit' is nan"),
     "too few gains of a position loop": (
         "limit = 10.0",

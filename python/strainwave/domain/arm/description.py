@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from annotated_types import Ge, Gt
+from annotated_types import Ge, Gt, Le
 
 from strainwave.domain.arm.effects import all_effects
 from strainwave.domain.arm.gear_laws import AUTO, RIGID, GearLaw, determined_law, stated_law
@@ -20,13 +20,15 @@ from strainwave.domain.arm.parameter_table import base_name, parameter_table
 from strainwave.domain.keys import BoolArray, ComplexArray, FloatArray, JointNumber, Key
 from strainwave.errors import InvalidInput
 
-Positive = Annotated[float, Gt(0.0)]
-NonNegative = Annotated[float, Ge(0.0)]
+_LARGEST = 1e12  # in SI units: beyond all rigs, and far below what overflows when it is squared
+Positive = Annotated[float, Gt(0.0), Le(_LARGEST)]
+NonNegative = Annotated[float, Ge(0.0), Le(_LARGEST)]
 
 Motion = Literal["revolute", "prismatic"]
 Spring = str  # name of a gear law, or "auto"
 EffectName = str  # of one of `domain.effects`
-Vector = tuple[float, float, float]
+Component = Annotated[float, Ge(-_LARGEST), Le(_LARGEST)]
+Vector = tuple[Component, Component, Component]
 Matrix = tuple[tuple[float, ...], ...]  # rows
 Unknown = Literal["unknown"]
 UNKNOWN: Unknown = "unknown"
