@@ -18,6 +18,7 @@ from strainwave.dynamics.arm import Arm
 from strainwave.errors import NotIdentifiable, NumericalFailure
 from strainwave.identification.position_servo.candidates import (
     calm_segments,
+    choose_delay,
     choose_gear_effects,
     choose_hold,
     choose_limits,
@@ -74,13 +75,16 @@ def fit_position_servos(logs: Sequence[Log], arm: Arm) -> ServoFit:
     if elastic:
         best = choose_stiffness(best, elastic) or best
     best, by_hold = choose_hold(best)
+    best, by_delay = choose_delay(best)
     best, by_gears = choose_gear_effects(best)
     if best.loop.has_stiff_gears:  # without their effect, residuals did not show the commands
         best, by_hold = choose_hold(best)
     final = fit_from(best.loop, best.values, segments, floor, passes=3)
     if final is None:
         raise NumericalFailure("the simulation of the servos diverges in some segment")
-    changes = np.vstack([by_hold, by_gears])
+    if by_delay.shape[1] != len(final.x):
+        by_delay = np.zeros((0, len(final.x)))
+    changes = np.vstack([by_hold, by_delay, by_gears])
     return replace(final, rival_changes=changes, has_rival_effect=best.has_rival_effect)
 
 

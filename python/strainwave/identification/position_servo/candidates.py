@@ -17,9 +17,12 @@ from strainwave.identification.position_servo.loop import (
     DELAY,
     GEAR_DAMPING,
     GEAR_EFFECTS,
+    KD,
+    KP,
     LIMIT,
     MOTOR_SHARE,
     STIFFNESS,
+    VISCOUS,
     ServoLoop,
 )
 from strainwave.identification.position_servo.records import MAX_DELAY, ReferenceHold, Segment
@@ -41,6 +44,9 @@ _DECISIVE_COST = 40.0
 # Cost per sample up to which another course of commands is plausible: residuals of the size of the
 # resolution do not tell courses whose root mean squares differ by less than 0.5 %.
 _PLAUSIBLE_COST = 0.01
+_DELAY_STEP = 5e-3  # [s], about half of the distance of minima
+_DELAYS = np.arange(0.0, MAX_DELAY + 0.5 * _DELAY_STEP, _DELAY_STEP).tolist()
+_PROMISING_COST = 0.1  # per sample, of a delay before the fit of the other values
 _GEAR_HZ = 100.0  # resonance of a gear that is stiff beside a servo, which is below 20 Hz
 _STIFF_GEAR_HZ = 400.0  # inertias are off by (f / 400 Hz)^2 at f
 _RESONANCES_HZ = (8.0, 16.0, 32.0, 64.0)  # where the search of a stiffness starts
@@ -132,6 +138,52 @@ def choose_hold(start: ServoFit) -> tuple[ServoFit, FloatArray]:
     best, *rivals = [fit for fit in fits if fit.cost <= most]
     best = replace(best, has_rival_effect=start.has_rival_effect)
     return best, np.array([rival.x - best.x for rival in rivals]).reshape(-1, len(best.x))
+
+
+def choose_delay(fit: ServoFit) -> tuple[ServoFit, FloatArray]:
+    """The fit with the delay of the least residuals, and changes by others that explain as much.
+
+    In slow motions a delay acts as the damping kp times delay, and the residuals have several
+    minima. The changes, at most one on each side, are (n, n_unknowns).
+    """
+    none, rows = np.zeros((0, len(fit.x))), sum(segment.angle.size for segment in fit.segments)
+    free = [i for i in fit.loop.numbers if fit.loop.servo.delay_of(i) is None]
+    fits = [fit]
+    for delay in _DELAYS if free else ():
+        shift = delay - fit.values[DELAY, free[0]]
+        values = _with_later_command(fit, free, shift)
+        if values is None or abs(shift) < 0.5 * _DELAY_STEP:
+            continue
+        sizes = np.maximum(deviations(fit.loop, values, fit.segments, fit.states), fit.resolution)
+        counts = np.array([len(segment.time) for segment in fit.segments])
+        cost = float(np.sum(2.0 * counts[:, None] * np.log(sizes)))
+        if cost < fit.cost + _PROMISING_COST * rows:
+            rival = fit_from(fit.loop, values, fit.segments, fit.resolution, passes=2)
+            fits += [rival] if rival is not None else []
+    best = min(fits, key=lambda each: each.cost)
+    plausible = [each for each in fits if each.cost < best.cost + _DECISIVE_COST]
+    if len(plausible) < 2:
+        return replace(best, has_rival_effect=fit.has_rival_effect), none
+    plausible.sort(key=lambda each: each.values[DELAY, free[0]])
+    changes = [each.x - best.x for each in (plausible[0], plausible[-1]) if each is not best]
+    return replace(best, has_rival_effect=fit.has_rival_effect), np.array(changes)
+
+
+def _with_later_command(
+    fit: ServoFit, joints: Sequence[JointNumber], shift: float
+) -> Values | None:
+    """Values with later commands and the damping that makes up for them; None if it is negative."""
+    values = dict(fit.values)
+    for i in joints:
+        values[DELAY, i] += shift
+        names = (KD, VISCOUS) if fit.loop.servo.damping_gain(i) is None else (VISCOUS,)
+        own = sum(values[name, i] for name in names)
+        left = own - shift * values[KP, i]
+        if left < 0.0 or not 0.0 <= values[DELAY, i] <= MAX_DELAY:
+            return None
+        for name in names:
+            values[name, i] = left * values[name, i] / own if own > 0.0 else left / len(names)
+    return values
 
 
 def choose_gear_effects(fit: ServoFit) -> tuple[ServoFit, FloatArray]:
