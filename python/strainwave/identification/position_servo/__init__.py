@@ -24,6 +24,8 @@ from strainwave.identification.position_servo.candidates import (
     choose_limits,
     choose_stiffness,
     fit_from,
+    refined,
+    with_reached_limits,
 )
 from strainwave.identification.position_servo.fit import ServoFit
 from strainwave.identification.position_servo.loop import ServoLoop
@@ -82,9 +84,8 @@ def fit_position_servos(logs: Sequence[Log], arm: Arm) -> ServoFit:
     final = fit_from(best.loop, best.values, segments, floor, passes=3)
     if final is None:
         raise NumericalFailure("the simulation of the servos diverges in some segment")
-    if by_delay.shape[1] != len(final.x):
-        by_delay = np.zeros((0, len(final.x)))
-    changes = np.vstack([by_hold, by_delay, by_gears])
+    final = refined(with_reached_limits(final))
+    changes = (*by_hold, *by_delay, *by_gears)
     return replace(final, rival_changes=changes, has_rival_effect=best.has_rival_effect)
 
 

@@ -7,12 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from strainwave.domain import FloatArray
 from strainwave.domain.arm.parameter_table import COULOMB
-from strainwave.domain.keys import JointNumber, Values
+from strainwave.domain.keys import JointNumber, Key, Values
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NumericalFailure
-from strainwave.identification.position_servo.fit import Guess, ServoFit, Unknown, fit_segments
+from strainwave.identification.position_servo.fit import Guess, ServoFit, fit_segments
 from strainwave.identification.position_servo.loop import (
     DELAY,
     GEAR_DAMPING,
@@ -22,6 +21,7 @@ from strainwave.identification.position_servo.loop import (
     LIMIT,
     MOTOR_SHARE,
     STIFFNESS,
+    VELOCITY_LAG,
     VISCOUS,
     ServoLoop,
 )
@@ -34,6 +34,7 @@ from strainwave.identification.position_servo.unknowns import (
 )
 
 _CALM_RATIO = 2.0  # of residuals over their median
+_UNEXPLAINED_RATIO = 5.0  # of residuals of a segment over their median
 _LIMITS = np.geomspace(0.1, 1.6, 16)  # of a torque limit, over the largest torque of the start
 LIMIT_UNREACHED = 3.0
 """Factor on the largest torque of the fitted records, beyond which a limit has no effect."""
@@ -47,6 +48,7 @@ _PLAUSIBLE_COST = 0.01
 _DELAY_STEP = 5e-3  # [s], about half of the distance of minima
 _DELAYS = np.arange(0.0, MAX_DELAY + 0.5 * _DELAY_STEP, _DELAY_STEP).tolist()
 _PROMISING_COST = 0.1  # per sample, of a delay before the fit of the other values
+_MAX_REFITS = 4
 _GEAR_HZ = 100.0  # resonance of a gear that is stiff beside a servo, which is below 20 Hz
 _STIFF_GEAR_HZ = 400.0  # inertias are off by (f / 400 Hz)^2 at f
 _RESONANCES_HZ = (8.0, 16.0, 32.0, 64.0)  # where the search of a stiffness starts
@@ -66,6 +68,19 @@ def fit_from(
         return None
     guess = Guess(values, tuple(segments), states, sizes)
     return fit_segments(loop, guess, *unknowns_of(loop, values), floor, passes=passes)
+
+
+def refined(fit: ServoFit) -> ServoFit:
+    """The fit continued while its cost decreases enough to decide a choice."""
+    for _ in range(_MAX_REFITS):
+        unknowns, priors = unknowns_of(fit.loop, fit.values)
+        more = fit_segments(fit.loop, fit.as_guess(), unknowns, priors, fit.resolution, passes=2)
+        if more is None or more.cost >= fit.cost:
+            break
+        before, fit = fit, more
+        if more.cost > before.cost - 0.5 * _DECISIVE_COST:
+            break
+    return fit
 
 
 def calm_segments(
@@ -113,40 +128,52 @@ def choose_limits(fit: ServoFit, segments: Sequence[Segment]) -> ServoFit | None
     return best
 
 
-def choose_hold(start: ServoFit) -> tuple[ServoFit, FloatArray]:
+Changes = list[Values]
+"""Changes of values by rivals: choices that explain a record as well as the best one."""
+
+
+def with_reached_limits(fit: ServoFit) -> ServoFit:
+    """The fit with the torque limits of segments that were not in their search."""
+    typical = np.median(fit.deviations, axis=0)
+    is_unexplained = np.any(fit.deviations > _UNEXPLAINED_RATIO * typical, axis=0)
+    if not np.any(is_unexplained & ~fit.saturated):
+        return fit
+    limited = choose_limits(fit, fit.segments)
+    return limited if limited is not None and limited.cost < fit.cost - _DECISIVE_COST else fit
+
+
+def choose_hold(start: ServoFit) -> tuple[ServoFit, Changes]:
     """The fit with the course of commands that the residuals show, and changes by rivals.
 
-    Logs usually hold the commands as they were sent. The changes are (n_rivals, n_unknowns).
+    Logs usually hold the commands as they were sent.
     """
     half = 0.5 * float(np.mean([segment.record.sample_time for segment in start.segments]))
     lead = {hold: half * (hold is not ReferenceHold.HELD) for hold in ReferenceHold}
     fits = []
     for hold in ReferenceHold:
         loop, shift = replace(start.loop, hold=hold), lead[hold] - lead[start.loop.hold]
-        delays = {
-            key: min(max(value + shift, 0.0), MAX_DELAY)
-            for key, value in start.values.items()
-            if key[0] == DELAY and loop.servo.delay_of(key[1] or 1) is None
-        }
-        fit = start
-        if hold is not start.loop.hold:
-            values = start.values | delays
-            fit = fit_from(loop, values, start.segments, start.resolution, passes=2) or start
-        fits += [fit] if fit is not start or hold is start.loop.hold else []
+        values = dict(start.values)
+        for i in loop.numbers:
+            values[VELOCITY_LAG, i] = 0.0  # that of another course stands in for it
+            if loop.servo.delay_of(i) is None:
+                values[DELAY, i] = min(max(values[DELAY, i] + shift, 0.0), MAX_DELAY)
+        alike = [start] if hold is start.loop.hold else []
+        fit = fit_from(loop, values, start.segments, start.resolution, passes=2)
+        alike += [fit] if fit is not None else []
+        fits += [refined(min(alike, key=lambda each: each.cost))] if alike else []
     rows = sum(segment.angle.size for segment in start.segments)
     most = min(fit.cost for fit in fits) + _PLAUSIBLE_COST * rows
     best, *rivals = [fit for fit in fits if fit.cost <= most]
     best = replace(best, has_rival_effect=start.has_rival_effect)
-    return best, np.array([rival.x - best.x for rival in rivals]).reshape(-1, len(best.x))
+    return best, [_change(best, rival) for rival in rivals]
 
 
-def choose_delay(fit: ServoFit) -> tuple[ServoFit, FloatArray]:
-    """The fit with the delay of the least residuals, and changes by others that explain as much.
+def choose_delay(fit: ServoFit) -> tuple[ServoFit, Changes]:
+    """The fit with the delay of the least residuals, and changes by rivals, one on each side.
 
-    In slow motions a delay acts as the damping kp times delay, and the residuals have several
-    minima. The changes, at most one on each side, are (n, n_unknowns).
+    In slow motions a delay acts as the damping kp times delay, and residuals have several minima.
     """
-    none, rows = np.zeros((0, len(fit.x))), sum(segment.angle.size for segment in fit.segments)
+    rows = sum(segment.angle.size for segment in fit.segments)
     free = [i for i in fit.loop.numbers if fit.loop.servo.delay_of(i) is None]
     fits = [fit]
     for delay in _DELAYS if free else ():
@@ -162,11 +189,10 @@ def choose_delay(fit: ServoFit) -> tuple[ServoFit, FloatArray]:
             fits += [rival] if rival is not None else []
     best = min(fits, key=lambda each: each.cost)
     plausible = [each for each in fits if each.cost < best.cost + _DECISIVE_COST]
-    if len(plausible) < 2:
-        return replace(best, has_rival_effect=fit.has_rival_effect), none
-    plausible.sort(key=lambda each: each.values[DELAY, free[0]])
-    changes = [each.x - best.x for each in (plausible[0], plausible[-1]) if each is not best]
-    return replace(best, has_rival_effect=fit.has_rival_effect), np.array(changes)
+    plausible.sort(key=lambda each: each.values[DELAY, free[0]] if free else 0.0)
+    ends = dict.fromkeys((plausible[0], plausible[-1]))
+    best = replace(best, has_rival_effect=fit.has_rival_effect)
+    return best, [_change(best, each) for each in ends if each.cost > best.cost]
 
 
 def _with_later_command(
@@ -186,18 +212,18 @@ def _with_later_command(
     return values
 
 
-def choose_gear_effects(fit: ServoFit) -> tuple[ServoFit, FloatArray]:
+def choose_gear_effects(fit: ServoFit) -> tuple[ServoFit, Changes]:
     """The fit with the effect of a gear that the residuals show, and changes by others.
 
     Friction that grows with the load hides in Coulomb friction unless the load changes, so that it
-    is a rival even where it explains nothing. The changes are (n, n_unknowns) of the fit.
+    is a rival even where it explains nothing.
     """
-    none = np.zeros((0, len(fit.x)))
+    none: Changes = []
     arm = fit.loop.arm
     is_small = arm.has_planar_program and arm.n_joints <= _MAX_JOINTS_WITH_EFFECTS
     if fit.loop.has_gears or not is_small:
         return fit, none
-    plain, effects, changes = fit, list[tuple[ServoFit, FloatArray]](), list[FloatArray]()
+    plain, effects, changes = fit, list[tuple[ServoFit, Changes]](), none
     for i in plain.loop.numbers:
         for name in _tried_effects(plain.loop.arm, i):
             rival = _with_effect(plain, i, name, _GEAR_HZ, _DAMPING_RATIOS[name])
@@ -215,10 +241,9 @@ def choose_gear_effects(fit: ServoFit) -> tuple[ServoFit, FloatArray]:
     best, errors = min(effects, key=lambda each: each[0].cost, default=(plain, none))
     if best.cost < plain.cost - _DECISIVE_COST:  # others that explain a part are its rivals
         others = [each for each, _ in effects if each is not best and each.cost < plain.cost]
-        rivals = [_difference(best.unknowns, best, each) for each in others]
-        best = replace(best, has_rival_effect=bool(rivals))
-        return best, np.array([*errors, *rivals]).reshape(-1, len(best.x))
-    return plain, np.array(changes).reshape(-1, len(plain.x))
+        rivals = [_change(best, each) for each in others]
+        return replace(best, has_rival_effect=bool(rivals)), [*errors, *rivals]
+    return plain, changes
 
 
 def _with_effect(
@@ -232,8 +257,8 @@ def _with_effect(
     return fit_from(loop, values, fit.segments, fit.resolution, passes=2)
 
 
-def _stiffened(fit: ServoFit, joint: JointNumber, name: str) -> tuple[ServoFit, FloatArray]:
-    """The fit with a gear as good as rigid, and errors (n, n_unknowns) that remain.
+def _stiffened(fit: ServoFit, joint: JointNumber, name: str) -> tuple[ServoFit, Changes]:
+    """The fit with a gear as good as rigid, and errors of its values that remain.
 
     These are changes by other minima, which the share of the motor tells apart, and the effect of
     a finite resonance f: it is of order 1 / f^2, so that a third of the last change remains.
@@ -246,8 +271,9 @@ def _stiffened(fit: ServoFit, joint: JointNumber, name: str) -> tuple[ServoFit, 
     best = min(softer, key=lambda each: each.cost, default=fit)
     stiff = _with_effect(best, joint, name, _STIFF_GEAR_HZ, ratio) or best
     plausible = [each for each in softer if each.cost < best.cost + _DECISIVE_COST]
-    others = [each.x - best.x for each in plausible if each is not best]
-    return stiff, np.array([(stiff.x - best.x) / 3.0, *others])
+    others = [_change(best, each) for each in plausible if each is not best]
+    last = {key: change / 3.0 for key, change in _change(best, stiff).items()}
+    return stiff, [last, *others]
 
 
 def _restarted(plain: ServoFit, rival: ServoFit) -> ServoFit:
@@ -306,21 +332,19 @@ _LEAST_SIZES = dict(zip(GEAR_EFFECTS, (1.5e-4, 5e-3), strict=True))
 _DAMPING_RATIOS = dict(zip(GEAR_EFFECTS, (0.1, 0.5), strict=True))
 
 
-def _difference(unknowns: Sequence[Unknown], fit: ServoFit, rival: ServoFit) -> FloatArray:
-    """Change of the unknowns by a rival; zero for those that it has not."""
-    keys = [unknown.keys[0] for unknown in unknowns]
-    return np.array([rival.values.get(key, fit.values[key]) - fit.values[key] for key in keys])
+def _change(fit: ServoFit, rival: ServoFit) -> Values:
+    """Change of the unknowns by a rival that has them."""
+    keys = [unknown.keys[0] for unknown in fit.unknowns]
+    return {key: rival.values[key] - fit.values[key] for key in keys if key in rival.values}
 
 
-def _changes(plain: ServoFit, rival: ServoFit, joint: JointNumber) -> list[FloatArray]:
+def _changes(plain: ServoFit, rival: ServoFit, joint: JointNumber) -> Changes:
     """Change of the unknowns by a rival, and its wider deviation of Coulomb friction."""
-    change = _difference(plain.unknowns, plain, rival)
     table = np.vstack([*(rows.jacobian for rows in rival.rows), rival.prior_rows()])
     norms = np.linalg.norm(table, axis=0)
     norms[norms == 0.0] = np.inf
     inverse = np.linalg.pinv(table / norms)
-    deviation, coulomb = np.zeros(len(plain.unknowns)), ((COULOMB, joint),)
-    at = [unknown.keys for unknown in rival.unknowns].index(coulomb)
-    own = [unknown.keys for unknown in plain.unknowns].index(coulomb)
-    deviation[own] = float(np.linalg.norm(inverse[at])) / norms[at] * rival.misfit
-    return [change, deviation]
+    coulomb: Key = (COULOMB, joint)
+    at = [unknown.keys for unknown in rival.unknowns].index((coulomb,))
+    deviation = float(np.linalg.norm(inverse[at])) / norms[at] * rival.misfit
+    return [_change(plain, rival), {coulomb: deviation}]

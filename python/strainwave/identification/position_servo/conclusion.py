@@ -155,7 +155,7 @@ class _Covariance:
         inner = n / max(n - 1, 1) * scores.T @ scores + (priors / scale).T @ (priors / scale)
         covariance = inverse @ inner @ inverse / np.outer(scale, scale)
         covariance = np.asarray(covariance * fit.misfit**4)
-        covariance += fit.rival_changes.T @ fit.rival_changes
+        covariance += fit.rival_rows().T @ fit.rival_rows()
         index = {key: k for k, unknown in enumerate(fit.unknowns) for key in unknown.keys}
         for i in fit.loop.numbers:
             timing = np.zeros(len(scale))

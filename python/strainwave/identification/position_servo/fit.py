@@ -73,8 +73,7 @@ class ServoFit:
     resolution: float  # [rad] of the angles: the least deviation
     end: SearchEnd
     has_rival_effect: bool = False  # another effect of a gear explains a part of the residuals too
-    # (n_rivals, n_unknowns) changes with other courses of the commands that fit as well
-    rival_changes: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    rival_changes: tuple[Values, ...] = ()  # by other choices that explain as much
 
     @property
     def cost(self) -> float:
@@ -96,6 +95,12 @@ class ServoFit:
     def saturated(self) -> BoolArray:
         """Whether the output of each joint reaches its limit in any segment."""
         return np.asarray(np.any([rows.saturated for rows in self.rows], axis=0))
+
+    def rival_rows(self) -> FloatArray:
+        """Changes of the unknowns by rivals, (n_rivals, n_unknowns)."""
+        keys = [unknown.keys[0] for unknown in self.unknowns]
+        rows = [[change.get(key, 0.0) for key in keys] for change in self.rival_changes]
+        return np.array(rows).reshape(-1, len(keys))
 
     def as_guess(self) -> Guess:
         """Start of another fit of the same segments."""
