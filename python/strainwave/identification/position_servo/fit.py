@@ -55,6 +55,7 @@ class SegmentRows:
     jacobian: FloatArray  # (n_rows, n_unknowns)
     # best change of the state per change of the unknowns, and, last, as it is
     to_state: FloatArray  # (n_states, n_unknowns + 1)
+    of_state: FloatArray  # (n_rows, n_states) orthonormal: what the initial state explains
     saturated: BoolArray  # (n_joints,) whether the output reaches its limit
 
 
@@ -141,25 +142,49 @@ class _Problem:
         return self.fixed | {key: value for unknown, value in pairs for key in unknown.keys}
 
     def linearise(self, x: FloatArray) -> Linearised | None:
-        states = list(self.states)
-        if self.rows:
-            step = np.append(x - self.at, 1.0)
-            moved = zip(states, self.rows, strict=True)
-            states = [state + rows.to_state @ step for state, rows in moved]
+        states = self._states(x)
         try:
             rows = self._rows(x, states)
         except (NumericalFailure, InvalidInput):
             return None
-        values = self.values(x)
         tables = [np.column_stack([r.jacobian, r.residual]) for r in rows]
-        for prior, row in zip(self.priors, _prior_rows(self.priors, self.unknowns), strict=True):
-            value = sum(weight * values[key] for key, weight in prior.weights)
-            tables.append(np.append(row, (value - prior.mean) / prior.std)[None])
+        priors = _prior_rows(self.priors, self.unknowns)
+        tables.append(np.column_stack([priors, self._prior_residuals(x)]))
         table = np.vstack(tables)
         cost = float(np.sum(table[:, -1] ** 2))
         if cost < self.best:
             self.best, self.at, self.rows, self.states = cost, x, rows, states
         return Linearised(cost, triangular_factor(table))
+
+    def simulate(self, x: FloatArray) -> float | None:
+        """Cost at a point, of which the states explain as much as at the best point."""
+        values, pieces = self.values(x), zip(self.segments, self._states(x), strict=True)
+        try:
+            inputs = {id(s.record): self.loop.prepare(values, s.record) for s in self.segments}
+            jobs = [partial(self.loop.simulate, inputs[id(s.record)], *(s, x)) for s, x in pieces]
+            angles = [run.angle for run in run_parallel(jobs)]
+        except (NumericalFailure, InvalidInput):
+            return None
+        cost = float(np.sum(self._prior_residuals(x) ** 2))
+        parts = zip(self.segments, self.rows, angles, self.deviations, strict=True)
+        for segment, rows, angle, size in parts:
+            residual = ((angle - segment.angle) / size).ravel()
+            cost += float(np.sum((residual - rows.of_state @ (rows.of_state.T @ residual)) ** 2))
+        return cost if np.isfinite(cost) else None
+
+    def _states(self, x: FloatArray) -> list[FloatArray]:
+        """Initial states (n_states,) that follow the values, as at the best point."""
+        if not self.rows:
+            return list(self.states)
+        step = np.append(x - self.at, 1.0)
+        moved = zip(self.states, self.rows, strict=True)
+        return [state + rows.to_state @ step for state, rows in moved]
+
+    def _prior_residuals(self, x: FloatArray) -> FloatArray:
+        values = self.values(x)
+        sums = [sum(w * values[key] for key, w in prior.weights) for prior in self.priors]
+        pairs = zip(sums, self.priors, strict=True)
+        return np.array([(value - prior.mean) / prior.std for value, prior in pairs])
 
     def _rows(self, x: FloatArray, states: Sequence[FloatArray]) -> list[SegmentRows]:
         """Rows of all segments; derivatives by values of the servo are differences."""
@@ -222,7 +247,7 @@ class _Problem:
         onto = Q.T @ right
         to_state = -np.linalg.lstsq(R, onto, rcond=MIN_STATE_EFFECT)[0]
         right = right - Q @ onto
-        return SegmentRows(right[:, -1], right[:, :-1], to_state, run.saturated)
+        return SegmentRows(right[:, -1], right[:, :-1], to_state, Q, run.saturated)
 
 
 @dataclass(frozen=True, slots=True)
@@ -288,6 +313,8 @@ def fit_segments(
             tolerance=_TOLERANCE,
             relative=_RELATIVE_TOLERANCE,
             max_evaluations=_MAX_EVALUATIONS,
+            # derivatives of serial arms take as long as fifty simulations
+            cost=None if loop.arm.has_planar_program else problem.simulate,
         )
         if minimum is None:
             return None

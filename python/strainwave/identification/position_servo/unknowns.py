@@ -30,8 +30,10 @@ _LEAST_SHARE = 1e-6  # of a positive base parameter, over the largest of its uni
 _LEAST_FRICTION = 1e-4
 _KD_SHARE_STD = 0.29  # of a uniform distribution on [0, 1]
 _LAG_STD = 0.5  # of a servo's velocity, in periods: that of the law is at the reading
-# of the dry friction in both directions; the offset replaces gravity where the angle hardly changes
-_ASYMMETRY = 0.5
+# Offset of friction, over Coulomb friction, above which it would not dissipate in one direction; it
+# replaces gravity where the angle hardly changes.
+_ASYMMETRY = 0.38
+_UNSEEN_FRICTION = 3.4e-3  # over the torque limit, of a start without friction
 _MOTOR_SHARE_STD = 0.3  # designs match motor and link within a factor
 USUAL_MOTOR_SHARE = 0.5
 """Share of the motor in the inertia of an elastic joint, before the data tell it."""
@@ -85,11 +87,8 @@ def unknowns_of(loop: ServoLoop, values: Values) -> tuple[list[Unknown], list[Pr
             ]
         unknowns += [Unknown(((name, i),), *of) for name, *of in keys]
         priors.append(Prior((((VELOCITY_LAG, i), 1.0),), 0.0, _LAG_STD))
-        # friction dissipates in both directions only if its offset is below Coulomb friction
-        dissipative = (values[COULOMB, i] + 3e-3 * torque) / np.sqrt(3.0)
-        priors.append(Prior((((OFFSET, i), 1.0),), 0.0, float(dissipative)))
-        asymmetry = _ASYMMETRY * values[COULOMB, i] + 2e-3 * torque
-        priors.append(Prior((((OFFSET, i), 1.0),), 0.0, asymmetry))
+        offset = _ASYMMETRY * (values[COULOMB, i] + _UNSEEN_FRICTION * torque)
+        priors.append(Prior((((OFFSET, i), 1.0),), 0.0, offset))
     if servo.delay == UNKNOWN:
         together = tuple((DELAY, i) for i in loop.numbers)
         unknowns.append(Unknown(together, 0.003, 0.0, 1.2 * MAX_DELAY))
