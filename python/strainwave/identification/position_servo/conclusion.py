@@ -192,7 +192,7 @@ def _estimates(fit: ServoFit, covariance: _Covariance) -> Iterator[_Estimate]:
             variance += (_LEAST_DEVIATION * scaled.value) ** 2
         std = float(np.sqrt(variance))
         unit = scaled.unit if per is None else _PER_GAIN.get(scaled.unit, scaled.unit)
-        variant = _why_not(fit, quantity.key, scaled.value, std, is_ratio=per is not None)
+        variant = _why_not(fit, quantity, scaled.value, std, is_ratio=per is not None)
         if variant is not None:
             place = Place(joint=joint, parameter=name)
             warning = Diagnostic("servo-undetermined", place, variant, joint=joint or 1)
@@ -303,9 +303,18 @@ def _in_torques(
     return _Quantity(quantity.key, value, np.asarray(gradient), quantity.unit)
 
 
-def _why_not(fit: ServoFit, key: Key, value: float, std: float, *, is_ratio: bool) -> str | None:
+def _effect(fit: ServoFit, quantity: _Quantity) -> float:
+    """Change of the angles without the quantity, rms in standard deviations of a reading."""
+    change = np.where(quantity.gradient != 0.0, fit.x, 0.0)
+    squares = [float(np.sum((rows.jacobian @ change) ** 2)) for rows in fit.rows]
+    return float(np.sqrt(sum(squares) / sum(len(rows.residual) for rows in fit.rows)))
+
+
+def _why_not(
+    fit: ServoFit, quantity: _Quantity, value: float, std: float, *, is_ratio: bool
+) -> str | None:
     """Variant of the warning of a parameter that the data do not determine; None if they do."""
-    name, joint = key
+    name, joint = quantity.key
     servo, is_limited = fit.loop.servo, fit.saturated[(joint or 1) - 1]
     back_emf = servo.back_emf_damping(joint or 1)
     is_open = name in (KD, VISCOUS) and servo.damping_gain(joint or 1) is None
@@ -326,7 +335,9 @@ def _why_not(fit: ServoFit, key: Key, value: float, std: float, *, is_ratio: boo
     if name in (KD, VISCOUS):
         return "split" if half > _MAX_SPLIT_ERROR * abs(value) else None
     may_vanish = name in (COULOMB, DAMPING) or physical_range(name) == "any"
-    return "motion" if half >= abs(value) and not may_vanish else None
+    # errors of no model are so small and so random that they leave what is below the resolution
+    is_unseen = half >= abs(value) or _effect(fit, quantity) < 1.0
+    return "motion" if is_unseen and not may_vanish else None
 
 
 def _delay_error(fit: ServoFit, std: float) -> tuple[float, float]:
