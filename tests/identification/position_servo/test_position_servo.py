@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -71,8 +71,19 @@ def commands(seed: int, duration: float = 8.0) -> FloatArray:
     return np.asarray(waves + 0.25 * np.sign(np.sin(1.7 * time)))
 
 
+def slow_commands(seed: int) -> FloatArray:
+    """Waves of 0.04 to 0.12 Hz; the arm falls into its first position."""
+    rng = np.random.default_rng(seed)
+    time = SAMPLE_TIME * np.arange(round(20.0 / SAMPLE_TIME))
+    waves = np.sin(2.0 * np.pi * np.outer(time, [0.04, 0.08, 0.12]) + rng.uniform(0.0, 6.28, 3))
+    return np.asarray(0.2 * waves.sum(axis=1))
+
+
 def virtual_logs(
-    arm: ArmDescription, seeds: Mapping[str, int], truth: Mapping[Key, float] = TRUTH
+    arm: ArmDescription,
+    seeds: Mapping[str, int],
+    commanded: Callable[[int], FloatArray] = commands,
+    truth: Mapping[Key, float] = TRUTH,
 ) -> tuple[Study, dict[str, dict[str, FloatArray]]]:
     """A study of records, with the loads of their names, and their logs."""
     experiments = tuple(
@@ -83,7 +94,7 @@ def virtual_logs(
     loop = ServoLoop(Arm.of(arm), arm.position_servo, ReferenceHold.HELD)
     values: Values = {**truth, ("velocity_lag", 1): 1.0}
     for experiment in experiments:
-        reference = commands(seeds[experiment.name])[:, None]
+        reference = commanded(seeds[experiment.name])[:, None]
         time: FloatArray = SAMPLE_TIME * np.arange(len(reference), dtype=np.float64)
         record = ServoRecord(
             experiment.name, time, reference, 0.0 * reference, reference, experiment.payload
@@ -124,6 +135,21 @@ def test_the_law_without_friction_is_the_exact_discrete_one() -> None:
         velocity += torque / inertia * PERIOD
     # rounding alone: the torque is constant in a period, for which the integrator is exact
     np.testing.assert_allclose(run.angle[:, 0], exact, atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", [1, 3])
+def test_a_slow_motion_leaves_delay_and_inertia_open(seed: int) -> None:
+    """A delay acts as damping kp * delay, and the torque of the inertia is below a count."""
+    study, data = virtual_logs(servo_arm(), {"one": seed}, slow_commands)
+    log = data["one"]
+    settled = log["t"] > 1.0
+    cut = {name: values[settled] for name, values in log.items()}
+    result = sw.identify(study, data={"one": cut | {"t": cut["t"] - cut["t"][0]}})
+    for name in ("servo_delay", "inertia", "servo_damping", "motor_coulomb_friction"):
+        low, high = result[name, 1].ci95 or (-np.inf, np.inf)
+        assert low < TRUTH[name, 1] < high, name
+        assert high - low > 0.006 or name != "servo_delay"
+    assert result["motor_coulomb_friction", 1].value == pytest.approx(0.04, rel=0.05)
 
 
 @pytest.mark.parametrize("known", ["kp", "load", "nothing"])
@@ -191,7 +217,7 @@ def test_a_known_kd_separates_friction_from_it() -> None:
     small = dict(TRUTH) | {("torque_limit", 1): 50.0}
     cases: list[tuple[float | Unknown, bool]] = [(0.15, True), (UNKNOWN, False)]
     for kd, is_known in cases:
-        study, data = virtual_logs(servo_arm(KP, kd), {"one": 1, "two": 2}, small)
+        study, data = virtual_logs(servo_arm(KP, kd), {"one": 1, "two": 2}, truth=small)
         result = sw.identify(study, data=data)
         viscous = result["motor_viscous_friction", 1]
         assert (viscous.value is not None) == is_known
@@ -303,7 +329,7 @@ def test_recovers_the_gear_of_an_elastic_joint() -> None:
         ("gear_damping", 1): 0.02,
     }
     elastic = servo_arm().with_joint(1, spring="linear")
-    study, data = virtual_logs(elastic, {"one": 1, "two": 2}, dict(TRUTH) | truth)
+    study, data = virtual_logs(elastic, {"one": 1, "two": 2}, truth=dict(TRUTH) | truth)
     result = sw.identify(study, data=data)
     inertia = TRUTH["inertia", 1]
     for name, true in (
