@@ -20,12 +20,11 @@ from strainwave.domain import (
 )
 from strainwave.domain.arm.consistent_links import standard_parameters
 from strainwave.domain.results.distributions import chi_square_limit
+from strainwave.domain.results.payload import INERTIAS
 from strainwave.errors import NotIdentifiable, NumericalFailure
 from strainwave.identification.payload import N_PARAMETERS, LoadFit, central_parameters
 
 AXES = ("x", "y", "z")
-INERTIAS = ("xx", "xy", "xz", "yy", "yz", "zz")
-"""Inertias in the order of results: rows of the upper triangle."""
 
 MAX_CENTRE_HALF_WIDTH = 0.1
 """[m] Half-width of a 95 % interval above which a coordinate of the centre is null. Tools and

@@ -15,6 +15,7 @@ from rich.text import Text
 from strainwave import domain
 from strainwave.domain.keys import Key
 from strainwave.domain.messages import percent, plus_minus
+from strainwave.domain.results.payload import INERTIAS
 from strainwave.report.document import blocks
 from strainwave.report.document.blocks import Cell, Row, RowGroup, Table
 from strainwave.report.document.elastic import mode_cells, trend_title
@@ -136,13 +137,13 @@ def print_payload(
 ) -> None:
     """Print a load with its intervals, the warnings, and the texts for controllers."""
     console = console or Console(highlight=False)
-    found, inertias = estimate.quantities, ("xx", "xy", "xz", "yy", "yz", "zz")
+    found = estimate.quantities
     members = [("mass", found.mass)]
     members += [(f"centre {a}", q) for a, q in zip("xyz", found.xyz, strict=True)]
     if not any(found.xyz):
         pairs = zip("xyz", found.first_moments, strict=True)
         members += [(f"first moment {a}", q) for a, q in pairs if q]
-    pairs = zip(inertias, found.inertia_about_centre, strict=True)
+    pairs = zip(INERTIAS, found.inertia_about_centre, strict=True)
     members += [(f"inertia {a} about the centre", q) for a, q in pairs]
     if estimate.torque_scale is not None:
         members.append(("torque scale", estimate.torque_scale))

@@ -10,7 +10,7 @@ from typing import Any, get_args
 from tomlkit.items import Whitespace
 
 from strainwave.domain.arm import gear_laws, kinds
-from strainwave.domain.arm.description import Motion
+from strainwave.domain.arm.description import POSITION, SERVOS, Motion
 from strainwave.domain.study import StudyKey, study_keys
 from strainwave.init.changes import table_of, tables_of
 from strainwave.init.draft import TODO, Place, has_todo, todo_places
@@ -22,7 +22,7 @@ _CHOICES = {
     ("arm", "kind"): tuple(kinds.KINDS),
     ("joint", "spring"): (gear_laws.AUTO, *gear_laws.LAWS),
     ("joint", "motion"): get_args(Motion),
-    ("servo", "kind"): ("pi-velocity", "position"),
+    ("servo", "kind"): SERVOS,
     ("servo", "output"): ("torque", "current", "duty"),
 }
 
@@ -61,7 +61,7 @@ def form_groups(document: Mapping[str, Any]) -> dict[str, list[Row]]:
         if key.serial in (None, is_serial) and (is_planar or key.key != "link_length")
     )
     keys["joint"] = tuple(key for key in keys["joint"] if not key.serial or is_placed)
-    if table_of(document, "servo").get("kind") == "position":
+    if table_of(document, "servo").get("kind") == POSITION:
         keys["servo"] = keys["position_servo"]
     if any(joint.get("motion") == "prismatic" for joint in joints):
         ratio = {"gear_ratio": "link rad (or m) per motor rad"}

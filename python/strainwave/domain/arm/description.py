@@ -156,6 +156,12 @@ class Joint:
         return tuple(e.name for e in all_effects() if self.elastic or not e.needs_elastic_gear)
 
 
+PI_VELOCITY: Literal["pi-velocity"] = "pi-velocity"
+POSITION: Literal["position"] = "position"
+SERVOS = (PI_VELOCITY, POSITION)
+"""Kinds of servo of a study."""
+
+
 @dataclass(frozen=True, slots=True)
 class Servo:
     """PI velocity servo: u = kp e + ki integral(e), e = reference - encoder difference / period.

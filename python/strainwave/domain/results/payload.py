@@ -10,6 +10,9 @@ from strainwave.domain.keys import FloatArray
 from strainwave.domain.results.estimates import Diagnostic
 from strainwave.domain.study import Payload, Study
 
+INERTIAS = ("xx", "xy", "xz", "yy", "yz", "zz")
+"""Order of the inertias of a load."""
+
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
@@ -25,7 +28,7 @@ class Quantity:
 class LoadQuantities:
     """Mass, centre of mass and inertias of a load in the last link's frame.
 
-    None: not determined. Inertias are in the order xx, xy, xz, yy, yz, zz.
+    None: not determined. Inertias are in the order of `INERTIAS`.
     """
 
     mass: Quantity | None

@@ -30,7 +30,7 @@ from strainwave.domain import (
     Urdf,
 )
 from strainwave.domain.arm import effects, gear_laws
-from strainwave.domain.arm.description import Matrix, Positive
+from strainwave.domain.arm.description import POSITION, SERVOS, Matrix, Positive
 from strainwave.domain.arm.kinds import KINDS, Kind
 from strainwave.domain.messages import fault_codes
 from strainwave.domain.steps import STEPS, Step
@@ -231,8 +231,8 @@ class Reader:
             return None
         name = table.get("kind")
         if name is not None:
-            self._check_registered([name], ["pi-velocity", "position"], name, "servo", None, "kind")
-        if name == "position":
+            self._check_registered([name], [*SERVOS], name, "servo", None, "kind")
+        if name == POSITION:
             return self.record(PositionServo, table, "servo")
         return self.record(Servo, table, "servo")
 
