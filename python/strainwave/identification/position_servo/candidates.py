@@ -34,7 +34,6 @@ from strainwave.identification.position_servo.unknowns import (
 )
 
 _CALM_RATIO = 2.0  # of residuals over their median
-_UNEXPLAINED_RATIO = 5.0  # of residuals of a segment over their median
 _LIMITS = np.geomspace(0.1, 1.6, 16)  # of a torque limit, over the largest torque of the start
 LIMIT_UNREACHED = 3.0
 """Factor on the largest torque of the fitted records, beyond which a limit has no effect."""
@@ -45,6 +44,7 @@ _DECISIVE_COST = 40.0
 # Cost per sample up to which another course of commands is plausible: residuals of the size of the
 # resolution do not tell courses whose root mean squares differ by less than 0.5 %.
 _PLAUSIBLE_COST = 0.01
+_PLAUSIBLE_SHARE = 0.25  # of what is unexplained, up to which another course may be the true one
 _DELAY_STEP = 5e-3  # [s], about half of the distance of minima
 _DELAYS = np.arange(0.0, MAX_DELAY + 0.5 * _DELAY_STEP, _DELAY_STEP).tolist()
 _PROMISING_COST = 0.1  # per sample, of a delay before the fit of the other values
@@ -118,10 +118,11 @@ def choose_limits(fit: ServoFit, segments: Sequence[Segment]) -> ServoFit | None
         values = values | {(LIMIT, i): min(costs, key=costs.__getitem__)}
     best = fit_from(loop, values, segments, floor, passes=2)
     for i, top in tops.items():
-        if best is not None and not best.saturated[i - 1]:
-            continue
         start = values if best is None else best.values
         unlimited = start | {(LIMIT, i): LIMIT_UNREACHED * top}
+        if best is not None and not best.saturated[i - 1]:
+            best = replace(best, values=unlimited)
+            continue
         free = fit_from(loop, unlimited, segments, floor, passes=2)
         if free is not None and (best is None or free.cost < best.cost + _DECISIVE_COST):
             best = free
@@ -135,8 +136,7 @@ Changes = list[Values]
 def with_reached_limits(fit: ServoFit) -> ServoFit:
     """The fit with the torque limits of segments that were not in their search."""
     typical = np.median(fit.deviations, axis=0)
-    is_unexplained = np.any(fit.deviations > _UNEXPLAINED_RATIO * typical, axis=0)
-    if not np.any(is_unexplained & ~fit.saturated):
+    if np.all(fit.deviations < _CALM_RATIO * typical):
         return fit
     limited = choose_limits(fit, fit.segments)
     return limited if limited is not None and limited.cost < fit.cost - _DECISIVE_COST else fit
@@ -162,8 +162,13 @@ def choose_hold(start: ServoFit) -> tuple[ServoFit, Changes]:
         alike += [fit] if fit is not None else []
         fits += [refined(min(alike, key=lambda each: each.cost))] if alike else []
     rows = sum(segment.angle.size for segment in start.segments)
-    most = min(fit.cost for fit in fits) + _PLAUSIBLE_COST * rows
-    best, *rivals = [fit for fit in fits if fit.cost <= most]
+    least = min(fits, key=lambda each: each.cost)
+    most = least.cost + _PLAUSIBLE_COST * rows
+    best = next(fit for fit in fits if fit.cost <= most)
+    # other effects than the course of the commands leave this per sample
+    unexplained = 2.0 * np.log(least.misfit)
+    most = max(most, least.cost + _PLAUSIBLE_SHARE * unexplained * rows)
+    rivals = [fit for fit in fits if fit is not best and fit.cost <= most]
     best = replace(best, has_rival_effect=start.has_rival_effect)
     return best, [_change(best, rival) for rival in rivals]
 

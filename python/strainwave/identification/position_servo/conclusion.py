@@ -304,7 +304,12 @@ def _in_torques(
 
 
 def _effect(fit: ServoFit, quantity: _Quantity) -> float:
-    """Change of the angles without the quantity, rms in standard deviations of a reading."""
+    """Change of the angles without the quantity, rms in standard deviations of a reading.
+
+    Infinite for the gain that is the unit of the others.
+    """
+    if not quantity.gradient.any():
+        return np.inf
     change = np.where(quantity.gradient != 0.0, fit.x, 0.0)
     squares = [float(np.sum((rows.jacobian @ change) ** 2)) for rows in fit.rows]
     return float(np.sqrt(sum(squares) / sum(len(rows.residual) for rows in fit.rows)))

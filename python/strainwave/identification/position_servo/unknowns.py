@@ -30,8 +30,7 @@ _LEAST_SHARE = 1e-6  # of a positive base parameter, over the largest of its uni
 _LEAST_FRICTION = 1e-4
 _KD_SHARE_STD = 0.29  # of a uniform distribution on [0, 1]
 _LAG_STD = 0.5  # of a servo's velocity, in periods: that of the law is at the reading
-# Offset of friction, over Coulomb friction, above which it would not dissipate in one direction; it
-# replaces gravity where the angle hardly changes.
+# of friction: its offset over Coulomb friction; it replaces gravity where the angle hardly changes
 _ASYMMETRY = 0.38
 _UNSEEN_FRICTION = 3.4e-3  # over the torque limit, of a start without friction
 _MOTOR_SHARE_STD = 0.3  # designs match motor and link within a factor
@@ -58,10 +57,11 @@ def unknowns_of(loop: ServoLoop, values: Values) -> tuple[list[Unknown], list[Pr
         kd, viscous = values[KD, i], values[VISCOUS, i]
         damping = kd + viscous
         size = 0.5 * damping + 3e-3 * torque
+        dry = values[COULOMB, i] + _UNSEEN_FRICTION * torque
         keys: list[tuple[str, float, float, float]] = [
             (VISCOUS, size, 0.0, np.inf),
             (COULOMB, values[COULOMB, i] + 0.01 * torque, _LEAST_FRICTION * torque, np.inf),
-            (OFFSET, 0.1 * torque, -np.inf, np.inf),
+            (OFFSET, 0.1 * torque, -dry, dry),  # friction dissipates in both directions
             (VELOCITY_LAG, 0.5, -1.0, 3.0),
             (LIMIT, 0.2 * torque, 0.02 * torque, np.inf),
         ]
@@ -87,8 +87,7 @@ def unknowns_of(loop: ServoLoop, values: Values) -> tuple[list[Unknown], list[Pr
             ]
         unknowns += [Unknown(((name, i),), *of) for name, *of in keys]
         priors.append(Prior((((VELOCITY_LAG, i), 1.0),), 0.0, _LAG_STD))
-        offset = _ASYMMETRY * (values[COULOMB, i] + _UNSEEN_FRICTION * torque)
-        priors.append(Prior((((OFFSET, i), 1.0),), 0.0, offset))
+        priors.append(Prior((((OFFSET, i), 1.0),), 0.0, _ASYMMETRY * dry))
     if servo.delay == UNKNOWN:
         together = tuple((DELAY, i) for i in loop.numbers)
         unknowns.append(Unknown(together, 0.003, 0.0, 1.2 * MAX_DELAY))
