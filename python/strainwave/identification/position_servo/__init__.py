@@ -26,6 +26,7 @@ from strainwave.identification.position_servo.candidates import (
     fit_from,
     refined,
     with_reached_limits,
+    without_needless_limits,
 )
 from strainwave.identification.position_servo.fit import ServoFit
 from strainwave.identification.position_servo.loop import ServoLoop
@@ -84,7 +85,7 @@ def fit_position_servos(logs: Sequence[Log], arm: Arm) -> ServoFit:
     final = fit_from(best.loop, best.values, segments, floor, passes=3)
     if final is None:
         raise NumericalFailure("the simulation of the servos diverges in some segment")
-    final = refined(with_reached_limits(final))
+    final = without_needless_limits(refined(with_reached_limits(final)))
     changes = (*by_hold, *by_delay, *by_gears)
     return replace(final, rival_changes=changes, has_rival_effect=best.has_rival_effect)
 

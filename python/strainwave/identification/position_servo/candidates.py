@@ -44,7 +44,7 @@ _DECISIVE_COST = 40.0
 # Cost per sample up to which another course of commands is plausible: residuals of the size of the
 # resolution do not tell courses whose root mean squares differ by less than 0.5 %.
 _PLAUSIBLE_COST = 0.01
-_PLAUSIBLE_SHARE = 0.25  # of what is unexplained, up to which another course may be the true one
+_PLAUSIBLE_SHARE = 0.5  # of what is unexplained, up to which another course may be the true one
 _DELAY_STEP = 5e-3  # [s], about half of the distance of minima
 _DELAYS = np.arange(0.0, MAX_DELAY + 0.5 * _DELAY_STEP, _DELAY_STEP).tolist()
 _PROMISING_COST = 0.1  # per sample, of a delay before the fit of the other values
@@ -142,6 +142,17 @@ def with_reached_limits(fit: ServoFit) -> ServoFit:
     return limited if limited is not None and limited.cost < fit.cost - _DECISIVE_COST else fit
 
 
+def without_needless_limits(fit: ServoFit) -> ServoFit:
+    """The fit without torque limits that explain little: they stand in for another effect."""
+    for i in fit.loop.numbers:
+        if fit.saturated[i - 1]:
+            unlimited = fit.values | {(LIMIT, i): LIMIT_UNREACHED * fit.values[LIMIT, i]}
+            free = fit_from(fit.loop, unlimited, fit.segments, fit.resolution, passes=2)
+            if free is not None and free.cost < fit.cost + _DECISIVE_COST:
+                fit = free
+    return fit
+
+
 def choose_hold(start: ServoFit) -> tuple[ServoFit, Changes]:
     """The fit with the course of commands that the residuals show, and changes by rivals.
 
@@ -167,7 +178,7 @@ def choose_hold(start: ServoFit) -> tuple[ServoFit, Changes]:
     best = next(fit for fit in fits if fit.cost <= most)
     # other effects than the course of the commands leave this per sample
     unexplained = 2.0 * np.log(least.misfit)
-    most = max(most, least.cost + _PLAUSIBLE_SHARE * unexplained * rows)
+    most = max(most, least.cost + max(_DECISIVE_COST, _PLAUSIBLE_SHARE * unexplained * rows))
     rivals = [fit for fit in fits if fit is not best and fit.cost <= most]
     best = replace(best, has_rival_effect=start.has_rival_effect)
     return best, [_change(best, rival) for rival in rivals]
