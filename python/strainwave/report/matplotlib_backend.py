@@ -28,7 +28,7 @@ _SYMBOLS = {"circle": "o", "circle-open": "o", "x": "x"}
 
 def require_matplotlib() -> None:
     """Raise InvalidInput with the remedy if Matplotlib is not installed."""
-    import_optional("matplotlib", "drawing figures", "'strainwave[plot]'")
+    import_optional("matplotlib", "drawing figures", "matplotlib")
 
 
 def draw(figure: figures.Figure) -> Figure:

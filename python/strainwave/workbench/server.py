@@ -16,9 +16,10 @@ def serve(options: ServerOptions) -> None:
     extra `serve` are missing.
     """
     check_options(options)
-    uvicorn = import_optional("uvicorn", "the workbench", "strainwave[serve]")
-    for module in ("starlette", "tomlkit"):
-        import_optional(module, "the workbench", "strainwave[serve]")
+    for module in ("uvicorn", "starlette", "tomlkit"):
+        import_optional(module, "the workbench", "markdown-it-py starlette tomlkit uvicorn")
+    import uvicorn
+
     from strainwave.workbench.app import create_app
 
     listener = _listen(options)

@@ -46,7 +46,7 @@ def test_a_missing_matplotlib_is_reported_before_the_run(
     out = tmp_path / "out"
     done = CliRunner().invoke(cli.app, [command, *study, "--out", str(out), "--figures"])
     assert isinstance(done.exception, InvalidInput)
-    assert "strainwave[plot]" in str(done.exception)
+    assert "pip install matplotlib" in str(done.exception)
     assert not out.exists()
 
 

@@ -70,7 +70,7 @@ def connected(scheduler: str | None, description: Path | None) -> Iterator[Any]:
     `arguments` and `workers`. Raises `InvalidInput` if Dask is not installed, the scheduler does
     not answer, or the cluster cannot be created.
     """
-    Client = import_optional("distributed", "a cluster", '"strainwave[cluster]"').Client
+    Client = import_optional("distributed", "a cluster", "dask distributed fsspec").Client
     for name in list(logging.root.manager.loggerDict):  # `ClusterLost` reports a lost scheduler
         if name.split(".")[0] in ("distributed", "tornado", "asyncio"):
             logging.getLogger(name).setLevel(logging.CRITICAL)

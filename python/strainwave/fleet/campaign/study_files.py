@@ -48,7 +48,7 @@ def file_system(url: str) -> tuple[Any, str]:
 
     Raises `InvalidInput` if fsspec or its package for this kind of URL is not installed.
     """
-    core = import_optional("fsspec.core", f"the URL {url}", '"strainwave[cluster]"')
+    core = import_optional("fsspec.core", f"the URL {url}", "dask distributed fsspec")
     try:
         system, path = core.url_to_fs(url)
     except (ImportError, ValueError) as error:

@@ -199,7 +199,7 @@ def open_hdf5(data: bytes, path: Path, separator: str = "/") -> LogTable:
     Raises InvalidInput if a link or a dataset refers to another file.
     """
     purpose = "reading HDF5 and MAT v7.3 files"
-    h5py = import_optional("h5py", purpose, "'strainwave[hdf5]'", str(path))
+    h5py = import_optional("h5py", purpose, "h5py", str(path))
     arrays = Arrays()
 
     def visit(name: str, node: Any) -> None:

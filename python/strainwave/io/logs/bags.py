@@ -259,7 +259,7 @@ def topic_of(column: str) -> str:
 
 @contextmanager
 def _opened(path: Path) -> Iterator[AnyReader]:
-    import_optional("rosbags.highlevel", "reading bags", "'strainwave[bags]'", str(path))
+    import_optional("rosbags.highlevel", "reading bags", "rosbags", str(path))
     from rosbags.highlevel import AnyReader
     from rosbags.typesys import Stores, get_typestore
 
