@@ -6,7 +6,7 @@ BIN    := $(VENV)/bin
 DEMO   := build/demo
 RUST   := $(shell find rust -name '*.rs' -o -name Cargo.toml 2>/dev/null) Cargo.toml Cargo.lock
 
-.PHONY: setup develop demo comparisons test check bench claims docs wheel lock clean
+.PHONY: setup develop demo comparisons test check bench claims docs wheel sdist dist-check lock clean
 
 setup: $(VENV)/.built
 
@@ -83,6 +83,15 @@ docs: develop
 
 wheel: $(VENV)/.installed
 	$(BIN)/maturin build --release --locked --out dist
+
+sdist: $(VENV)/.installed
+	$(BIN)/maturin sdist --out dist
+
+# Builds both, installs each into a fresh environment without an index, and runs the README's commands there.
+dist-check: $(VENV)/.installed
+	rm -rf dist
+	$(MAKE) wheel sdist
+	$(BIN)/python -m benchmarks.installation dist/*
 
 # Refreshes the versions; needs `pip install pip-tools`. Hashes only: no address of a package index.
 COMPILE := pip-compile --quiet --generate-hashes --strip-extras --no-header --no-emit-index-url \
