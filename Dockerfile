@@ -1,8 +1,4 @@
-# The workbench, with every extra for users:
-#     docker build -t strainwave .
-#     docker run --rm -p 127.0.0.1:8765:8765 -v "$PWD/rigs:/rigs" strainwave
-# Studies and results are in ./rigs, which user 1000 must be able to write. The printed address has the token;
-# open it with 127.0.0.1 in place of 0.0.0.0.
+# The workbench with every extra for users; docs/workbench.md has the commands.
 FROM rust:1.95-slim-bookworm AS wheel
 # What builds the wheel may have any version; what runs has the versions of the lock.
 # hadolint ignore=DL3008

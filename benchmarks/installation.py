@@ -58,7 +58,7 @@ def main() -> None:
     files = [file.resolve() for file in arguments.files]
     download(files, arguments.wheelhouse)
     for file in files:
-        with tempfile.TemporaryDirectory() as folder:
+        with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
             check(file, arguments.wheelhouse, Path(folder).resolve())
 
 
@@ -93,7 +93,7 @@ def check(file: Path, wheelhouse: Path, folder: Path) -> None:
         start = time.perf_counter()
         shown = " ".join(command if len(command[-1]) < 100 else command[:-1])
         done = subprocess.run(
-            command, check=False, cwd=rig, env=environ, capture_output=True, text=True
+            command, check=False, cwd=rig, env=environ, capture_output=True, encoding="utf-8"
         )
         print(f"{time.perf_counter() - start:8.1f} s  {Path(shown).name}", flush=True)
         if done.returncode:
@@ -140,7 +140,9 @@ def serve(program: str, rig: Path, environ: dict[str, str]) -> None:
     """Start the workbench, read the page of the studies, and end it."""
     start = time.perf_counter()
     command = [program, "serve", ".", "--port", "0"]
-    server = subprocess.Popen(command, cwd=rig, env=environ, stdout=subprocess.PIPE, text=True)
+    server = subprocess.Popen(
+        command, cwd=rig, env=environ, stdout=subprocess.PIPE, encoding="utf-8"
+    )
     assert server.stdout is not None
     try:
         link = re.search(r"http://\S+", server.stdout.readline())

@@ -111,7 +111,11 @@ def test_an_sdist_has_what_a_build_needs_and_nothing_else(tmp_path: Path) -> Non
         pytest.skip("not a clone: which files belong to the project is unknown")
     tracked = set(
         subprocess.run(
-            ["git", "ls-files"], cwd=ROOT, capture_output=True, text=True, check=True
+            ["git", "ls-files", "--cached", "--others", "--exclude-standard"],
+            cwd=ROOT,
+            capture_output=True,
+            text=True,
+            check=True,
         ).stdout.splitlines()
     )
     maturin = ROOT / ".venv/bin/maturin"
