@@ -40,14 +40,12 @@ control = ["servo", "servo"]
 """
 """Record of the study `payload.toml`: a motion without a load, so that no mass is expected."""
 
-IMPORT_MS = """
+IMPORT = """
 import time
 start = time.perf_counter()
 import strainwave
-print((time.perf_counter() - start) * 1e3)
+print(f"import strainwave: {(time.perf_counter() - start) * 1e3:.0f} ms")
 """
-IMPORTS = 5
-"""Imports of the package, of which the fastest is printed: the first one reads the disk."""
 
 
 def main() -> None:
@@ -89,13 +87,12 @@ def check(file: Path, wheelhouse: Path, folder: Path) -> None:
     rig = folder / "rig"
     shutil.copytree(SMALL_ARM, rig)
 
-    def run(*command: str, environ: dict[str, str] = alone) -> str:
+    def run(step: str, *command: str, environ: dict[str, str] = alone) -> str:
         start = time.perf_counter()
-        shown = " ".join(command if len(command[-1]) < 100 else command[:-1])
         done = subprocess.run(
             command, check=False, cwd=rig, env=environ, capture_output=True, encoding="utf-8"
         )
-        print(f"{time.perf_counter() - start:8.1f} s  {Path(shown).name}", flush=True)
+        print(f"{time.perf_counter() - start:8.1f} s  {step}", flush=True)
         if done.returncode:
             sys.exit(f"exit code {done.returncode}\n{done.stdout}{done.stderr}")
         return done.stdout
@@ -103,9 +100,9 @@ def check(file: Path, wheelhouse: Path, folder: Path) -> None:
     pip = [python, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-index"]
     target = f"{file}[{','.join(EXTRAS)}]"
     environ = alone if file.suffix == ".whl" else building
-    run(*pip, "--find-links", str(wheelhouse.resolve()), target, environ=environ)
-    run(python, "-m", "pip", "check")
-    run(python, "-c", TO_CSV)
+    run("pip install", *pip, "--find-links", str(wheelhouse.resolve()), target, environ=environ)
+    run("pip check", python, "-m", "pip", "check")
+    run("records of the small arm as CSV", python, "-c", TO_CSV)
     study = (rig / "study.toml").read_text(encoding="utf-8").replace(".parquet", ".csv")
     (rig / "study.toml").unlink()
     arm = study[: study.index("[[experiment]]")]
@@ -117,12 +114,11 @@ def check(file: Path, wheelhouse: Path, folder: Path) -> None:
             for word in command.split()
             for name in (sorted(path.name for path in rig.glob(word)) if "*" in word else [word])
         ]
-        run(str(programs / words[0]), *words[1:])
+        run(command, str(programs / words[0]), *words[1:])
         (rig / "study.toml").write_text(study, encoding="utf-8")  # the draft of `init`, completed
-    run(python, "-c", script)
+    run("Python script", python, "-c", script)
     serve(str(programs / "strainwave"), rig, alone)
-    imports = min(float(run(python, "-c", IMPORT_MS)) for _ in range(IMPORTS))
-    print(f"{imports:8.1f} ms import strainwave", flush=True)
+    print(run("import in a process of its own", python, "-c", IMPORT), end="", flush=True)
 
 
 def readme() -> tuple[list[str], str]:
