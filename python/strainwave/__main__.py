@@ -7,9 +7,10 @@ import sys
 
 def main() -> None:
     """Handle Ctrl-C before the slow imports begin, then run the command line."""
-    from strainwave.io import interrupt
+    from strainwave.io import interrupt, system
 
     interrupt.listen()
+    system.print_any_letter()
     try:
         from strainwave.cli import main as run
 

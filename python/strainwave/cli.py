@@ -185,7 +185,7 @@ def check(
     if as_json:
         from strainwave.io.results import check_document, to_json
 
-        typer.echo(to_json(check_document(result)).decode(), nl=False)
+        typer.echo(to_json(check_document(result)), nl=False)  # UTF-8 on any console
     elif not quiet:
         from strainwave.report.terminal import print_check
 

@@ -322,3 +322,11 @@ def test_all_studies_of_the_measured_data_are_read(shared_data: Path) -> None:
     assert len(paths) >= 6
     for path in paths:
         assert read_study(path).experiments
+
+
+def test_a_path_of_windows_is_compared_by_its_last_part(tmp_path: Path) -> None:
+    path = studies.write(tmp_path)
+    text = path.read_text().replace('"motion.csv"', r"'C:\logs\motoin.csv'")
+    path.write_text(text)
+    with pytest.raises(InvalidInput, match=r"does not exist.*did you mean 'motion.csv'"):
+        read_study(path)

@@ -26,3 +26,9 @@ def test_an_unknown_key_is_refused_with_the_nearest() -> None:
     check_keys({"class": 1}, ("class", "workers"), PATH)
     with pytest.raises(InvalidInput, match=r"unknown key 'worker'.*did you mean 'workers'"):
         check_keys({"worker": 1}, ("class", "workers"), PATH)
+
+
+def test_a_path_of_windows_in_a_text(tmp_path: Path) -> None:
+    path = tmp_path / "study.toml"
+    with pytest.raises(InvalidInput, match=r"write paths with / instead of \\"):
+        parse_toml('file = "C:\\logs\\a.csv"', path)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -10,7 +11,9 @@ import pytest
 from reproduction.rig import Rig, equivalent, run_steps
 from strainwave.dynamics.two_inertia import anti_resonance
 from strainwave.errors import InvalidInput
+from strainwave.io.study import read_study
 from strainwave.virtual import scara
+from strainwave.virtual.experiments import simulate_study
 
 
 @pytest.mark.parametrize(
@@ -69,3 +72,18 @@ def test_experiments_cover_every_use() -> None:
 def test_more_than_five_disks_are_rejected() -> None:
     with pytest.raises(InvalidInput, match="0 to 5"):
         scara.SOFT.parameters(6)
+
+
+def test_logs_with_equal_names_are_written_to_different_files(tmp_path: Path) -> None:
+    """Windows and macOS make no difference between capitals and small letters."""
+    study = scara.SOFT.study(tmp_path, "rigid")
+    first = next(each for each in study.experiments if each.use == "motion")
+    files = ("day-1/log.csv", "day-2/log.csv", "day-2/LOG.csv")
+    experiments = tuple(
+        replace(first, name=f"{k}", file=file, use="motion") for k, file in enumerate(files)
+    )
+    values = scara.SOFT.parameters()
+    simulate_study(replace(study, experiments=experiments), values, tmp_path, as_recorded=False)
+    written = [each.file for each in read_study(tmp_path / "study.toml").experiments]
+    assert written == ["log.csv", "2-log.csv", "3-LOG.csv"]
+    assert sorted(each.name for each in tmp_path.glob("*.csv")) == sorted(written)

@@ -95,6 +95,8 @@ def read_study_text(path: Path) -> str:
         ("../../etc/passwd.csv", "etc-passwd.csv"),
         (".hidden.csv", "hidden.csv"),
         ("#?*.csv", "log.csv"),
+        ("C:\\logs\\a.csv", "C-logs-a.csv"),
+        ("NUL.csv", "logs NUL.csv"),  # a device of Windows
         ("a\0b\n.parquet", "a-b.parquet"),
         (f"{'x' * 300}.csv", f"{'x' * 106}.csv"),
         ("\u65e5" * 100 + ".csv", "\u65e5" * 35 + ".csv"),  # of three bytes each

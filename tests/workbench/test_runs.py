@@ -12,9 +12,10 @@ from pathlib import Path
 import pytest
 
 from strainwave.errors import InvalidInput
+from strainwave.io.system import user_folder
 from strainwave.workbench.run_record import Run
 from strainwave.workbench.runs import Runs
-from strainwave.workbench.supervisor import CORES_PER_RUN, runs_ahead
+from strainwave.workbench.supervisor import CANCEL, CORES_PER_RUN, runs_ahead
 
 PATIENCE = 120.0  # [s] on a loaded machine
 
@@ -178,3 +179,70 @@ def test_two_studies_of_one_folder_have_runs_of_their_own(folder: Path) -> None:
     runs = start_identify(folder, "one", "--stages", "rigid")
     wait_for(runs, "one", "done")
     assert Runs(other).all() == []
+
+
+@pytest.mark.parametrize("name", ["con", "NUL", "com1.csv", "aux .x", "one.", "one "])
+def test_a_name_that_windows_cannot_have_is_refused(folder: Path, name: str) -> None:
+    with pytest.raises(InvalidInput, match="name"):
+        Runs(folder / "arm" / "study.toml").prepare(name)
+
+
+def test_names_that_differ_by_capitals_are_one_where_the_files_are(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As on Windows and macOS."""
+    make = Path.mkdir
+
+    def make_once(path: Path, **options: bool) -> None:
+        if path.parent.is_dir() and any(
+            each.name.casefold() == path.name.casefold() for each in path.parent.iterdir()
+        ):
+            raise FileExistsError(path)
+        make(path, **options)
+
+    monkeypatch.setattr(Path, "mkdir", make_once)
+    runs = Runs(folder / "arm" / "study.toml")
+    runs.folder.mkdir()
+    runs.prepare("A")
+    with pytest.raises(InvalidInput, match="there is a run 'a' already"):
+        runs.prepare("a")
+
+
+def test_a_file_cancels_a_run(folder: Path) -> None:
+    runs = start_identify(folder, "one")
+    wait_for(runs, "one", "running")
+    (runs.path("one") / CANCEL).touch()
+    run = wait_for(runs, "one", "cancelled")
+    assert run.exit_code is None
+    assert runs.cancel("one") == run  # as often as one likes
+    assert not (runs.path("one") / CANCEL).exists()
+
+
+def test_a_run_without_space_for_the_file_is_killed(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    runs = start_identify(folder, "one")
+    wait_for(runs, "one", "running")
+
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Path, "touch", full)
+    monkeypatch.setattr("strainwave.workbench.runs.PATIENCE", 0.1)
+    assert runs.cancel("one").state == "cancelled"
+
+
+def test_a_dead_ticket_holds_nobody_up(folder: Path) -> None:
+    """Its process was killed, and another one may have its number."""
+    queue = user_folder()
+    (queue / f"ticket-1.{os.getpid()}").touch()
+    assert runs_ahead(os.getpid()) is None
+    runs = start_identify(folder, "one", "--stages", "rigid")
+    wait_for(runs, "one", "done")
+
+
+def test_a_command_line_is_that_of_the_system(monkeypatch: pytest.MonkeyPatch) -> None:
+    run = Run("one", "identify", (("identify", "my study.toml"),), "")
+    assert run.lines == ["strainwave identify 'my study.toml'"]
+    monkeypatch.setattr(sys, "platform", "win32")
+    assert run.lines == ['strainwave identify "my study.toml"']

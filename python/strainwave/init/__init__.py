@@ -8,7 +8,6 @@ study file has a reason for each guess; unknown values are TODO.
 
 from __future__ import annotations
 
-import os
 import textwrap
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -26,6 +25,7 @@ from strainwave.init.joint_columns import Guess, Mapping
 from strainwave.init.joints import find_logged_joints
 from strainwave.init.robot import Robot
 from strainwave.io.atomic_files import write_whole
+from strainwave.io.system import relative_path
 from strainwave.io.templates import fill_text
 
 __all__ = ["StudyDraft", "draft_study", "start_study"]
@@ -190,7 +190,7 @@ def study_text(
         notes=[note for note in notes if note],
         logs_without=lambda guess: [r.path.name for r in records if guess.column not in r.columns],
         of_bag=lambda guess: any(r.source is None and guess.column in r.columns for r in records),
-        path_of=lambda path: os.path.relpath(path, out.parent).replace(os.sep, "/"),
+        path_of=lambda path: relative_path(path, out.parent),
         entry=_entry,
         line=_line,
         listed=_listed,

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from strainwave.errors import InvalidInput, suggest_name
+from strainwave.io.system import replace_file
 
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 """Errors of a disk that is full, or of a limit of this user."""
@@ -58,15 +59,16 @@ def _write_whole(folder: Path, contents: Mapping[str, bytes]) -> None:
             os.umask(mask)
             Path(temporary).chmod(0o666 & ~mask)
         for temporary_path, final in pending:
-            temporary_path.replace(final)
+            replace_file(temporary_path, final)
     except OSError as error:
-        raise InvalidInput(
-            f"cannot write there ({error.strerror or error})",
-            where=str(folder),
-            remedy="make space on the disk"
-            if error.errno in FULL
-            else "choose another --out directory or change its permissions",
-        ) from error
+        locked = error.filename2 if isinstance(error, PermissionError) else None
+        remedy = "choose another --out directory or change its permissions"
+        if error.errno in FULL:
+            remedy = "make space on the disk"
+        elif locked:
+            remedy = "close the program that has the file open, or choose another --out directory"
+        problem = f"cannot write there ({error.strerror or error})"
+        raise InvalidInput(problem, where=str(locked or folder), remedy=remedy) from error
     finally:
         for temporary_path, _ in pending:
             temporary_path.unlink(missing_ok=True)
@@ -136,8 +138,11 @@ def parse_toml(text: str, path: Path) -> dict[str, Any]:
             raise ValueError("a key has more than 100 parts")
         return tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # also a number of more than 4,300 digits
+        has_backslash = "Unescaped" in str(error)  # as in "C:\\logs"
         raise InvalidInput(
-            f"is not valid TOML ({error})", where=str(path), remedy="correct that line"
+            f"is not valid TOML ({error})",
+            where=str(path),
+            remedy="write paths with / instead of \\" if has_backslash else "correct that line",
         ) from error
 
 

@@ -108,7 +108,7 @@ def simulate_study(
     missing or impossible, if an experiment cannot be simulated, or if the folder cannot be written.
     """
     arm = Arm.of(with_known_constants(study.arm, values))
-    experiments = []
+    experiments: list[Experiment] = []
     logs_columns = []
     for number, experiment in enumerate(study.experiments):
         progress(f"simulating {experiment.name}, {number + 1} of {len(study.experiments)}")
@@ -126,6 +126,8 @@ def simulate_study(
         file = Path(experiment.file).name
         if not file.endswith(_WRITABLE_FORMATS):
             file = f"{Path(file).stem}.parquet"
+        if file.casefold() in (each.file.casefold() for each in experiments):
+            file = f"{number + 1}-{file}"  # the other one is of another folder, or has capitals
         experiments.append(replace(experiment, file=file, start=None, stop=None, add={}, steps=()))
     for experiment, columns in zip(experiments, logs_columns, strict=True):
         logs.write_log(folder / experiment.file, columns)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shlex
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from functools import cache
@@ -12,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from strainwave.errors import InvalidInput
 from strainwave.io.atomic_files import read_small, write_whole
+from strainwave.io.system import command_line
 
 if TYPE_CHECKING:
     from pydantic import TypeAdapter
@@ -45,7 +45,7 @@ class Run:
     @property
     def lines(self) -> list[str]:
         """The command lines, as a user types them in the folder of the run."""
-        return [shlex.join(("strainwave", *command)) for command in self.commands]
+        return [command_line(("strainwave", *command)) for command in self.commands]
 
     @property
     def is_active(self) -> bool:

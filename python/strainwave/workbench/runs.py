@@ -7,10 +7,7 @@ runs go on and which were broken off.
 
 from __future__ import annotations
 
-import fcntl
-import os
 import shutil
-import signal
 import subprocess
 import sys
 import threading
@@ -22,13 +19,14 @@ from itertools import count
 from pathlib import Path
 
 from strainwave.errors import InvalidInput
+from strainwave.io import system
 from strainwave.io.atomic_files import write_whole
 from strainwave.workbench import supervisor
 from strainwave.workbench.run_record import LOCK, LOG, RECORD, Kind, Run, now, read_run, write_run
 from strainwave.workbench.supervisor import CANCEL, PATIENCE
 from strainwave.workbench.workspace import check_name, runs_folder
 
-RUN_FILES = frozenset((RECORD, LOCK, LOG))
+RUN_FILES = frozenset((RECORD, LOCK, LOG, CANCEL))
 """Files of a run that its commands do not write."""
 _MAX_TAGS = 20  # of a run
 _POLL = 0.05  # [s] between two looks at a run that is being cancelled
@@ -121,9 +119,9 @@ class Runs:
 
     def _start(self, run: Run) -> Run:
         folder = self.path(run.name)
-        lock = os.open(folder / LOCK, os.O_CREAT | os.O_RDWR, 0o644)
+        lock = system.try_lock(folder / LOCK)
+        assert lock is not None  # nobody else knows the folder yet
         try:
-            fcntl.flock(lock, fcntl.LOCK_EX)
             write_run(folder, run)
             with (folder / LOG).open("ab") as log:
                 process = subprocess.Popen(
@@ -131,28 +129,29 @@ class Runs:
                     stdin=subprocess.DEVNULL,
                     stdout=log,
                     stderr=log,
-                    start_new_session=True,
-                    pass_fds=(lock,),
+                    **system.OWN_GROUP,
+                    **system.inheriting(lock),
                 )
         finally:
-            os.close(lock)
+            system.unlock(lock)
         threading.Thread(target=process.wait, daemon=True).start()  # reaps the process
         return replace(run, group=process.pid)
 
     def cancel(self, name: str) -> Run:
         """End the process group of a run and wait for its end."""
-        run = self.get(name)
+        run, request = self.get(name), self.path(name) / CANCEL
         limit = time.monotonic() + 2.0 * PATIENCE
+        if run.is_active:
+            with suppress(OSError):  # no space: the run is killed after the limit
+                request.touch()
         while self._is_alive(name) and time.monotonic() < limit:
-            if run.is_active and run.group is not None:  # the supervisor listens
-                with suppress(ProcessLookupError):
-                    os.kill(run.group, CANCEL)
             time.sleep(_POLL)
             run = self.get(name)
         if run.is_active and run.group is not None:
-            with suppress(ProcessLookupError):
-                os.killpg(run.group, signal.SIGKILL)
+            system.kill_group(run.group)
             write_run(self.path(name), run.ended_as("cancelled"))
+        with suppress(OSError):
+            request.unlink()
         return self.get(name)
 
     def remove(self, name: str) -> None:
@@ -178,10 +177,4 @@ class Runs:
         write_run(self.path(name), replace(run, tags=tags))
 
     def _is_alive(self, name: str) -> bool:
-        try:
-            lock = supervisor.try_lock(self.path(name) / LOCK, os.O_NOFOLLOW)
-        except OSError:  # there is none, or what is there was never locked
-            return False
-        if lock is not None:
-            os.close(lock)
-        return lock is None
+        return system.is_locked(self.path(name) / LOCK)

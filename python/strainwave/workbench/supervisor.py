@@ -1,37 +1,33 @@
 """The process of a run: it waits for its turn, runs the commands, and records how they end.
 
 `python -m strainwave.workbench.supervisor FOLDER`. The process and its commands form a process
-group that outlives the server; nobody else writes the record while the group lives. SIGUSR1 cancels
-the run.
+group that outlives the server; nobody else writes the record while the group lives. The file
+`cancel` in the folder cancels the run.
 """
 
 from __future__ import annotations
 
-import fcntl
 import os
-import signal
-import stat
 import subprocess
 import sys
-import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
-from types import FrameType
 
 from strainwave.errors import InvalidInput
+from strainwave.io import system
 from strainwave.workbench.run_record import LOG, Run, State, now, read_run, status_of, write_run
 
-CANCEL = signal.SIGUSR1
-"""Signal that cancels a run."""
+CANCEL = "cancel"
+"""File in the folder of a run that cancels it."""
 PATIENCE = 3.0
 """[s] that the commands of a cancelled run have to end before they are killed."""
 CORES_PER_RUN = 2
 """A fit has threads; more runs at a time would share cores and memory."""
 
-_POLL = 0.1  # [s] between two looks for a free slot
+_POLL = 0.1  # [s] between two looks for a free slot, or for the end of a command
 _SUCCESS = (0, 3, 4)  # 3: the data do not determine the model; 4: compared results differ
 
 
@@ -44,21 +40,19 @@ def supervise(folder: Path, lock: int) -> None:
     run = replace(read_run(folder), group=os.getpid())
     try:
         write_run(folder, run)
-        with _slot():
+        with _slot(folder):
             run = replace(run, state="running", started=now())
             write_run(folder, run)
             code = _run_commands(run, folder, lock)
         state: State = "done" if code in _SUCCESS else "failed"
         write_run(folder, run.ended_as(state, exit_code=code, status=status_of(folder)))
     except _CancelledError:
-        signal.signal(CANCEL, signal.SIG_IGN)
-        _end_commands()
         write_run(folder, run.ended_as("cancelled"))
     except (OSError, InvalidInput) as error:  # no slot, no program, no space
         with suppress(OSError, InvalidInput):  # without space the run ends as interrupted
             print(f"strainwave: {error}", file=sys.stderr)
             write_run(folder, run.ended_as("failed"))
-    os.killpg(0, signal.SIGKILL)  # what the commands left behind
+    system.kill_group(os.getpid())  # this process, and what the commands left behind
 
 
 def _run_commands(run: Run, folder: Path, lock: int) -> int:
@@ -71,93 +65,67 @@ def _run_commands(run: Run, folder: Path, lock: int) -> int:
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=log,
-                pass_fds=(lock,),
+                env=os.environ | {"PYTHONIOENCODING": "utf-8"},  # of the log
+                **system.inheriting(lock),
             )
-        code = process.wait()
+        code = _wait_for(process, folder)
         if code:
             break
     return code
 
 
-def _end_commands() -> None:
-    """Ask all other processes of the group to end."""
-    signal.signal(signal.SIGTERM, signal.SIG_IGN)
-    os.killpg(0, signal.SIGTERM)
-    limit = time.monotonic() + PATIENCE
-    while time.monotonic() < limit:
+def _wait_for(command: subprocess.Popen[bytes], folder: Path) -> int:
+    """Exit code of a command; if the run is cancelled, the command is ended."""
+    while True:
         try:
-            os.waitpid(-1, os.WNOHANG)
-        except ChildProcessError:
-            return
-        time.sleep(0.02)
+            return command.wait(_POLL)
+        except subprocess.TimeoutExpired:
+            if (folder / CANCEL).exists():
+                system.ask_to_end(command)
+                with suppress(subprocess.TimeoutExpired):
+                    command.wait(PATIENCE)
+                raise _CancelledError from None
 
 
 @contextmanager
-def _slot() -> Iterator[None]:
+def _slot(run_folder: Path) -> Iterator[None]:
     """Hold one of the slots that this machine has for runs; waits in a queue for it."""
-    folder = _slot_folder()
+    folder = system.user_folder()
     files = [folder / f"slot-{k}" for k in range(max(1, (os.cpu_count() or 1) // CORES_PER_RUN))]
     ticket = folder / f"ticket-{time.time_ns()}.{os.getpid()}"
+    while (place := system.try_lock(ticket)) is None:  # another run looks whether it is held
+        time.sleep(_POLL)
     try:
-        ticket.touch()
-        with (folder / "queue").open("w") as queue:
-            fcntl.flock(queue, fcntl.LOCK_EX)  # the first in the queue
-            while (slot := next(filter(None, map(try_lock, files)), None)) is None:
-                time.sleep(_POLL)
+        while (slot := _free_slot(files)) is None:
+            if (run_folder / CANCEL).exists():
+                raise _CancelledError
+            time.sleep(_POLL)
     finally:
-        ticket.unlink(missing_ok=True)
+        system.unlock(place)
+        with suppress(OSError):
+            ticket.unlink()
     try:
         yield
     finally:
-        os.close(slot)
+        system.unlock(slot)
+
+
+def _free_slot(files: Sequence[Path]) -> int | None:
+    """A slot for the first run in the queue; None if there is none, or for other runs."""
+    if runs_ahead(os.getpid()):
+        return None
+    return next((slot for slot in map(system.try_lock, files) if slot is not None), None)
 
 
 def runs_ahead(group: int | None) -> int | None:
     """How many runs of this user wait in front of one; None if it does not wait."""
     try:
-        names = sorted(path.name for path in _slot_folder().glob("ticket-*"))
+        tickets = sorted(system.user_folder().glob("ticket-*"))
     except OSError:
         return None
-    numbers = [name.rpartition(".")[2] for name in names]
-    waiting = [int(number) for number in numbers if number.isdecimal() and _lives(int(number))]
-    return waiting.index(group) if group in waiting else None
-
-
-def _lives(process: int) -> bool:
-    try:
-        os.kill(process, 0)
-    except (OSError, OverflowError):
-        return False
-    return True
-
-
-def try_lock(path: Path, flags: int = os.O_CREAT) -> int | None:
-    """The open file if no other run has locked it."""
-    file = os.open(path, os.O_RDWR | flags, 0o600)
-    try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        os.close(file)
-        return None
-    return file
-
-
-def _slot_folder() -> Path:
-    """A folder of this user's runtime files; nobody else can write there."""
-    runtime = os.environ.get("XDG_RUNTIME_DIR")
-    parent, name = (runtime, "strainwave") if runtime else (None, f"strainwave-{os.getuid()}")
-    folder = Path(parent or tempfile.gettempdir()) / name
-    folder.mkdir(mode=0o700, exist_ok=True)
-    status = folder.lstat()
-    if not stat.S_ISDIR(status.st_mode) or status.st_uid != os.getuid():
-        raise OSError(f"{folder} belongs to another user: delete it")
-    return folder
-
-
-def _cancel(_signal: int, _frame: FrameType | None) -> None:
-    raise _CancelledError
+    waiting = [path.name.rpartition(".")[2] for path in tickets if system.is_locked(path)]
+    return waiting.index(str(group)) if str(group) in waiting else None
 
 
 if __name__ == "__main__":
-    signal.signal(CANCEL, _cancel)
     supervise(Path(sys.argv[1]), int(sys.argv[2]))

@@ -23,7 +23,8 @@ _MAX_DEPTH = 3  # of folders in which studies are searched
 _MAX_STUDIES = 500  # listed
 _MAX_SHOWN_NAME = 120  # letters of a name in a message
 _STUDY = re.compile(rb"^\s*\[(arm|\[experiment\])\]", re.MULTILINE)
-_NAME = re.compile(r"[^\W.][\w .()+=@,-]*", re.UNICODE)
+_NAME = re.compile(r"[^\W.][\w .()+=@,-]*(?<![ .])")
+_RESERVED = re.compile(r"(con|prn|aux|nul|com\d|lpt\d) *(\.|$)", re.IGNORECASE)  # on Windows
 _NOT_PLAIN = re.compile(r"[^\w .()+=@,-]+")
 _MAX_NAME_BYTES = 110  # of a stored log, without its number
 LOG_SUFFIXES = (*TABLE_SUFFIXES, *BAG_SUFFIXES)
@@ -49,7 +50,7 @@ class Workspace:
                 f for f in folders if not is_last and not is_runs_folder(f) and f[0] not in "._"
             ]
             paths = [Path(root) / name for name in files if name.endswith(".toml")]
-            studies += [str(p.relative_to(self.folder)) for p in paths if _is_study(p)]
+            studies += [self.relative(p) for p in paths if _is_study(p)]
             if len(studies) >= _MAX_STUDIES:
                 break
         return sorted(studies[:_MAX_STUDIES])
@@ -194,6 +195,8 @@ def is_runs_folder(name: str) -> bool:
 
 def check_name(name: str) -> None:
     """Raise InvalidInput unless the text is a plain file or run name."""
+    if _RESERVED.match(name):
+        raise InvalidInput(f"{name!r} is a device of Windows", remedy="choose another name")
     if not _NAME.fullmatch(name) or len(name) > 120:
         raise InvalidInput(
             f"{name!r} cannot be a name here",
@@ -207,7 +210,7 @@ def free_path(parent: Path, name: str) -> Path:
     ending = max((each for each in ACCEPTED if plain.lower().endswith(each)), key=len, default="")
     stem, suffix = plain[: len(plain) - len(ending)], plain[len(plain) - len(ending) :]
     stem = stem.lstrip(" .-_").rstrip(" .-") or "log"
-    if not suffix and is_runs_folder(stem):
+    if (not suffix and is_runs_folder(stem)) or _RESERVED.match(stem):
         stem = f"logs {stem}"
     while len(f"{stem}{suffix}".encode()) > _MAX_NAME_BYTES:
         stem = stem[:-1].rstrip()

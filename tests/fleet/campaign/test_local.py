@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import sys
 import time
 from dataclasses import replace
@@ -248,3 +249,41 @@ def test_a_worker_has_one_thread_for_blas(tmp_path: Path) -> None:
     (child,) = workers()
     assert child.environ()["OPENBLAS_NUM_THREADS"] == "1"
     runner.close()
+
+
+class Dead:
+    """A worker process that has ended with a code."""
+
+    def __init__(self, code: int) -> None:
+        self.code, self.stdin = code, io.BytesIO()
+
+    def wait(self, _limit: float = 0.0) -> int:
+        return self.code
+
+    poll = wait
+
+
+def test_an_exit_code_of_windows_is_recorded(tmp_path: Path) -> None:
+    death = Runner(RunLimits())
+    death._child = Dead(0xC0000005)  # type: ignore[assignment]
+    code, message = death._death()
+    assert (code, message) == (255, "the process ended with exit code 3221225477")
+
+
+ON_MACOS = """
+import sys
+from strainwave import pipeline
+from strainwave.fleet.campaign import worker
+from strainwave.numerics.parallel import configure_process
+configure_process()
+sys.platform = "darwin"
+worker.main()
+"""
+
+
+def test_a_limit_that_the_system_lacks_is_one_sentence(tmp_path: Path) -> None:
+    start = partial(Runner, entry=("-c", ON_MACOS))
+    limits = RunLimits(memory_mib=4096)
+    with pytest.raises(InvalidInput, match="cannot limit the memory of a process") as error:
+        run(rigs(tmp_path / "rigs", 1), tmp_path / "store", start=start, limits=limits)
+    assert "leave the limit out" in str(error.value)

@@ -3,15 +3,22 @@
 from __future__ import annotations
 
 import os
-from pathlib import Path
+from pathlib import Path, PurePosixPath, PureWindowsPath
 
 import fsspec
 import pytest
 
 import strainwave as sw
 from campaign_rigs import STUDY, rig, rigs
+from strainwave.fleet.campaign import study_files
 from strainwave.fleet.campaign.records import Task
-from strainwave.fleet.campaign.study_files import CaseSelection, StudyFile, find
+from strainwave.fleet.campaign.study_files import (
+    CaseSelection,
+    StudyFile,
+    find,
+    leaves_folder,
+    resolved,
+)
 
 
 def names(found: CaseSelection, folder: Path | str) -> list[str]:
@@ -240,3 +247,19 @@ def test_a_campaign_file_is_given_alone(folder: Path) -> None:
     (folder / "campaign.toml").write_text(CAMPAIGN)
     with pytest.raises(sw.InvalidInput, match="is given with other arguments"):
         find([str(folder / "campaign.toml"), str(folder / "a")])
+
+
+@pytest.mark.parametrize("name", ["../a.csv", "logs/../../a.csv", r"..\a.csv", r"C:\a.csv", r"\a"])
+def test_a_copied_study_names_only_files_of_its_folder(name: str) -> None:
+    assert leaves_folder(PureWindowsPath(name))
+    assert leaves_folder(PurePosixPath(name)) == ("/.." in f"/{name}")
+    assert not leaves_folder(PureWindowsPath(r"logs\a.csv"))
+
+
+def test_a_table_of_paths_on_windows(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(study_files, "Path", PureWindowsPath)
+    table = r"C:\rigs\studies.txt"
+    assert resolved(r"arm\study.toml", table) == r"C:\rigs\arm\study.toml"
+    assert resolved("arm/study.toml", table) == r"C:\rigs\arm\study.toml"
+    assert resolved(r"D:\arm\study.toml", table) == r"D:\arm\study.toml"
+    assert resolved("study.toml", "s3://rigs/studies.txt") == "s3://rigs/study.toml"

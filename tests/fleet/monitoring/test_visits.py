@@ -45,6 +45,21 @@ def test_an_arm_by_column_or_expression(store: Path) -> None:
     assert [arm.arm for arm in by_group.arms] == ["arm-1"]
 
 
+def test_studies_of_a_campaign_on_windows(tmp_path: Path) -> None:
+    runs, parameters = visited_arms.rows("a", 3, np.random.default_rng(0))
+    for run in runs:
+        run["study"] = "C:\\" + run["study"].replace("/", "\\")
+    store = visited_arms.write(tmp_path / "store", runs, parameters)
+    assert [arm.arm for arm in read_histories(store).arms] == ["a"]
+    (arm,) = read_histories(store, arm="fleet/([^/]+)/").arms
+    assert arm.visits[0].study == "C:/fleet/a/visit-000.toml"
+    names = ("a\\visit-000.toml", "a/visit-001.toml", "C:\\fleet\\a\\visit-002.toml")
+    lines = [f"{name},{20 + k}" for k, name in enumerate(names)]
+    path = table(tmp_path / "visits.csv", "study,temperature", *lines)
+    (arm,) = read_histories(store, covariates=path).arms
+    assert [visit.covariates for visit in arm.visits] == [(20.0,), (21.0,), (22.0,)]
+
+
 def test_a_time_in_the_path(tmp_path: Path) -> None:
     runs, parameters = visited_arms.rows("a", 3, np.random.default_rng(0))
     for run, day in zip(runs, ("2026-03-01", "2026-01-01", "2026-02-01"), strict=True):

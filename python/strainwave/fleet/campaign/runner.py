@@ -9,7 +9,6 @@ from __future__ import annotations
 import json
 import os
 import queue
-import select
 import signal
 import subprocess
 import sys
@@ -37,6 +36,7 @@ from strainwave.fleet.campaign.records import (
 )
 from strainwave.fleet.campaign.store import Store
 from strainwave.fleet.campaign.study_files import Case
+from strainwave.io.system import OWN_GROUP, kill_group
 
 TIMEOUT_EXIT_CODE = 124
 """Exit code of a run that exceeds its time limit, as of the command `timeout`."""
@@ -62,7 +62,7 @@ class Runner:
         self._entry = tuple(entry)
         self._child: subprocess.Popen[bytes] | None = None
         self._errors: IO[bytes] | None = None
-        self._buffer = b""
+        self._lines: queue.SimpleQueue[bytes] = queue.SimpleQueue()
         self._done = 0
         self._stopped = False
         self._mutex = threading.Lock()
@@ -77,7 +77,7 @@ class Runner:
         try:
             child = self._start_task(task, until)
             name = worker_name(child.pid)
-            answer = self._line(child, until)
+            answer = self._line(until)
         except TimeoutError:
             self._end()
             message = f"took longer than {self._limits.time_s:g} s"
@@ -117,12 +117,12 @@ class Runner:
         line = (task.to_json() + "\n").encode()
         for _ in range(2):
             child = self._process()
-            with suppress(BrokenPipeError):
+            with suppress(OSError):  # it has ended
                 assert child.stdin is not None
                 child.stdin.write(line)
                 child.stdin.flush()
             try:
-                self._line(child, until)
+                self._line(until)
             except EOFError:
                 if self._stopped:
                     raise
@@ -132,7 +132,7 @@ class Runner:
         raise InvalidInput(
             f"the worker process does not start: {message}",
             where=None if self._limits.memory_mib is None else "--memory-limit",
-            remedy="allow more memory"
+            remedy="allow more memory, or leave the limit out"
             if self._limits.memory_mib is not None
             else "run `python -m strainwave.fleet.campaign.worker --time-limit 60` to see why",
         )
@@ -156,25 +156,21 @@ class Runner:
                 stdout=subprocess.PIPE,
                 stderr=self._errors,
                 env=os.environ | {"OPENBLAS_NUM_THREADS": "1", "PYTHONPATH": imports},
-                start_new_session=True,  # so that the parent alone receives Ctrl-C
+                **OWN_GROUP,  # so that the parent alone receives Ctrl-C
             )
-        self._buffer, self._done = b"", 0
+        self._lines, self._done = queue.SimpleQueue(), 0
+        stream = self._child.stdout
+        threading.Thread(target=_read, args=(stream, self._lines), daemon=True).start()
         return self._child
 
-    def _line(self, child: subprocess.Popen[bytes], until: float) -> dict[str, Any]:
+    def _line(self, until: float) -> dict[str, Any]:
         """The next line of the process, as JSON; TimeoutError, or EOFError if the process ended."""
-        assert child.stdout is not None
-        while b"\n" not in self._buffer:
-            ready, _, _ = select.select(
-                [child.stdout], [], [], max(0.0, until - time.perf_counter())
-            )
-            if not ready:
-                raise TimeoutError
-            block = os.read(child.stdout.fileno(), 2**16)
-            if not block:
-                raise EOFError
-            self._buffer += block
-        line, self._buffer = self._buffer.split(b"\n", 1)
+        try:
+            line = self._lines.get(timeout=max(0.0, until - time.perf_counter()))
+        except queue.Empty:
+            raise TimeoutError from None
+        if not line.endswith(b"\n"):
+            raise EOFError
         answer: dict[str, Any] = json.loads(line)
         return answer
 
@@ -183,7 +179,7 @@ class Runner:
         try:
             code = self._child.wait(_EXIT_S)
         except subprocess.TimeoutExpired:
-            code = -signal.SIGKILL
+            code = -9  # killed
         cause = ""
         if self._errors is not None:  # the line on a fatal error, else the last one
             size = self._errors.seek(0, os.SEEK_END)
@@ -198,7 +194,8 @@ class Runner:
             with suppress(ValueError):
                 name = signal.Signals(-code).name
             return 128 - code, f"the process was ended by {name}{cause}"
-        return code or 1, f"the process ended with exit code {code}{cause}"
+        message = f"the process ended with exit code {code}{cause}"
+        return min(code, 255) or 1, message  # codes of Windows have 32 bits
 
     def _end(self) -> None:
         with self._mutex:
@@ -206,10 +203,9 @@ class Runner:
         if child is not None:
             _kill(child)
             child.wait()
-            for stream in (child.stdin, child.stdout):
-                if stream is not None:
-                    with suppress(OSError):
-                        stream.close()
+            assert child.stdin is not None
+            with suppress(OSError):
+                child.stdin.close()
         if self._errors is not None:
             self._errors.close()
             self._errors = None
@@ -238,8 +234,15 @@ def failed(
 
 def _kill(child: subprocess.Popen[bytes]) -> None:
     if child.poll() is None:
-        with suppress(ProcessLookupError):
-            os.killpg(child.pid, signal.SIGKILL)
+        kill_group(child.pid)
+
+
+def _read(stream: IO[bytes], lines: queue.SimpleQueue[bytes]) -> None:
+    """Pass on the lines of a process; the last one is empty, or without end."""
+    with stream:
+        for line in stream:
+            lines.put(line)
+    lines.put(b"")
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,6 @@ flushed to the disk and renamed; an object store writes whole objects.
 
 from __future__ import annotations
 
-import fcntl
 import hashlib
 import os
 import tempfile
@@ -38,6 +37,7 @@ from strainwave.fleet.campaign.records import (
     RunRecord,
 )
 from strainwave.fleet.campaign.study_files import file_system, is_url
+from strainwave.io.system import replace_file, try_lock, unlock
 
 _SCHEMAS = {"runs": RUNS_SCHEMA, "parameters": PARAMETERS_SCHEMA}
 _MAX_TRIES = 50  # to read a store that other processes merge
@@ -121,11 +121,12 @@ class Store:
         """
         if is_url(str(self.where)) or len(self._names("runs")) < 2:
             return
-        with Path(self.where, ".lock").open("ab") as lock:
-            try:
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except OSError:  # held, or a file system without locks
-                return
+        lock = None
+        with suppress(OSError):  # a file system without locks
+            lock = try_lock(Path(self.where, ".lock"))
+        if lock is None:
+            return
+        try:
             for kind in ("parameters", "runs"):  # so that every row has its parameters
                 names = self._names(kind)
                 if len(names) < 2:
@@ -134,6 +135,8 @@ class Store:
                 part = f"{kind}/part-{hashlib.sha256(data).hexdigest()[:32]}.parquet"
                 self._put(part, data)
                 self._delete([name for name in names if name != part])
+        finally:
+            unlock(lock)
 
     def exists(self, name: str) -> bool:
         """Whether the store has a file."""
@@ -144,7 +147,7 @@ class Store:
     def _folder(self) -> tuple[fs.FileSystem, str]:
         """Arrow's file system of the store, and the path of the store in it."""
         if not is_url(where := str(self.where)):
-            return fs.LocalFileSystem(), where
+            return fs.LocalFileSystem(), Path(where).as_posix()
         system, path = file_system(where)
         if "file" in system.protocol:
             return fs.LocalFileSystem(), path
@@ -192,7 +195,7 @@ class Store:
                 file.flush()
                 os.fsync(file.fileno())
             Path(temporary).chmod(0o644)
-            Path(temporary).replace(final)
+            replace_file(Path(temporary), final)
         except OSError:
             with suppress(OSError):
                 Path(temporary).unlink()

@@ -14,7 +14,7 @@ import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
-from pathlib import Path, PurePosixPath
+from pathlib import Path, PurePath
 from types import MappingProxyType
 from typing import Any, ClassVar, Protocol
 
@@ -165,6 +165,11 @@ def _fingerprint(location: str) -> str:
         return ""
 
 
+def leaves_folder(name: PurePath) -> bool:
+    """Whether a name in a folder leads out of it."""
+    return bool(name.anchor) or ".." in name.parts
+
+
 def _copy_study(url: str, folder: Path) -> Path:
     """Copy a study and its existing files; the reader of the study reports missing ones."""
     try:
@@ -176,7 +181,7 @@ def _copy_study(url: str, folder: Path) -> Path:
     path = folder / url.rsplit("/", 1)[-1]
     path.write_bytes(text)
     for name in _list_inputs(text):
-        if PurePosixPath(name).is_absolute() or ".." in PurePosixPath(name).parts:
+        if leaves_folder(PurePath(name)):
             raise InvalidInput(
                 f"the file {name!r} is not in the folder of the study",
                 where=url,

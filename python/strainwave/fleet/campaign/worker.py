@@ -11,7 +11,6 @@ import argparse
 import faulthandler
 import json
 import os
-import resource
 import signal
 import sys
 from collections.abc import Callable, Mapping
@@ -28,6 +27,7 @@ from strainwave.fleet.campaign.records import (
     record_of,
 )
 from strainwave.fleet.campaign.store import Store
+from strainwave.io.system import limit_memory, resident_mib
 from strainwave.version import __version__
 
 Perform = Callable[[Task], RunRecord]
@@ -101,20 +101,12 @@ def serve(tasks: TextIO, answers: TextIO, time_limit: float, do: Perform) -> Non
         faulthandler.dump_traceback_later(time_limit + _ORPHAN_GRACE_S, exit=True)
         outcome = answer(task, do)
         faulthandler.cancel_dump_traceback_later()
-        _send(answers, {"resident_mib": _resident_mib(), "outcome": outcome.to_json()})
+        _send(answers, {"resident_mib": resident_mib(), "outcome": outcome.to_json()})
 
 
 def _send(answers: TextIO, message: Mapping[str, Any]) -> None:
     answers.write(json.dumps(message) + "\n")
     answers.flush()
-
-
-def _resident_mib() -> float:
-    try:
-        with open("/proc/self/statm") as file:
-            return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20
-    except OSError:  # without /proc: the peak
-        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**10
 
 
 def main(do: Perform = perform) -> None:
@@ -134,8 +126,7 @@ def main(do: Perform = perform) -> None:
     from strainwave import pipeline  # noqa: F401 - before the time of the first task
 
     if arguments.memory_limit is not None:
-        limit = arguments.memory_limit * 2**20
-        resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
+        limit_memory(arguments.memory_limit)
     try:
         serve(sys.stdin, answers, arguments.time_limit, do)
     except BrokenPipeError:  # the parent has ended; the run is recorded

@@ -153,9 +153,9 @@ def read_conditions(path: Path) -> Conditions:
         place = f"{path}, line {number}"
         cells = [row.get(name) or "" for name in names]
         if all(cells):
-            values[row["study"]] = tuple(_number(cell, place) for cell in cells)
+            values[_study_of(row)] = tuple(_number(cell, place) for cell in cells)
         if row.get("time"):
-            times[row["study"]] = parse_time(row["time"], place)
+            times[_study_of(row)] = parse_time(row["time"], place)
     return Conditions(names, values, times)
 
 
@@ -182,12 +182,17 @@ def _number(cell: str, where: str) -> float:
     return value
 
 
+def _study_of(row: Mapping[str, Any]) -> str:
+    """Path or URL of a study with `/`, also if the campaign ran on Windows."""
+    return str(row["study"]).replace("\\", "/")
+
+
 def _arm_namer(arm: str | None, columns: set[str]) -> _ArmNamer:
     if arm is None:
 
         def name_folder(row: Row) -> tuple[str, None]:
             """The folder of a study file, or the name of a study without folder."""
-            path = PurePosixPath(str(row["study"]))
+            path = PurePosixPath(_study_of(row))
             return path.parent.name or path.stem, None
 
         return name_folder
@@ -205,7 +210,7 @@ def _arm_namer(arm: str | None, columns: set[str]) -> _ArmNamer:
         )
 
     def name_arm(row: Row) -> tuple[str | None, str | None]:
-        match = expression.search(str(row["study"]))
+        match = expression.search(_study_of(row))
         if match is None:
             return None, None
         groups = match.groupdict()
@@ -225,7 +230,7 @@ def _group_visits(
     names = {*conditions.values, *conditions.times}
     dropped = unnamed = n_started = 0
     for row in rows:
-        study = str(row["study"])
+        study = _study_of(row)
         arm, time_text = arm_namer(row)
         # the table names a study, or the end of its path
         parts = PurePosixPath(study).parts

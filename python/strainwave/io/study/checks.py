@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import fields, replace
+from pathlib import PureWindowsPath
 from typing import Any
 
 import numpy as np
@@ -429,7 +430,7 @@ def check_files(study: Study, reader: Reader) -> None:
                     f"the log file {file!r} does not exist",
                     where=reader.place("experiment", index, "steps" if number else "file"),
                     remedy="put it next to the study file, or correct the name"
-                    + suggest_name(file, siblings),
+                    + suggest_name(PureWindowsPath(file).name, siblings),
                 )
 
 

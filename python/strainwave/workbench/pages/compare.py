@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections import Counter
 from collections.abc import Sequence
 from contextlib import suppress
@@ -32,6 +31,7 @@ from strainwave.identification.whole_arm.inference.fit_tests import SIGNIFICANCE
 from strainwave.io.atomic_files import read_json
 from strainwave.io.kept_files import fingerprint, log_of, study_at
 from strainwave.io.results import NOT_A_RESULT, rigid_band_of
+from strainwave.io.system import relative_path
 from strainwave.report.document.blocks import read_figures
 from strainwave.report.document.predictions import difference_figure
 from strainwave.report.figures.comparison import (
@@ -308,7 +308,7 @@ def save_comparison(request: Request, body: Body) -> object:
     runs = Runs(study_of(request))
     name = runs.free_name("compare")
     folder = runs.prepare(name)
-    paths = (os.path.relpath(one.path, folder) for one in results)
+    paths = (relative_path(one.path, folder) for one in results)
     command = ("compare", *paths, "--out", ".")
     return describe(runs.start(name, "compare", [command]))
 

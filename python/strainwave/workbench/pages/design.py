@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from typing import Any, Literal, get_args
 
 from starlette.requests import Request
@@ -13,6 +12,7 @@ from strainwave.errors import InvalidInput
 from strainwave.io.atomic_files import read_json
 from strainwave.io.kept_files import study_at
 from strainwave.io.logs.tables import open_table
+from strainwave.io.system import relative_path
 from strainwave.report.figures import Axis, Figure, line_panel
 from strainwave.report.plotly_backend import plotly
 from strainwave.workbench.pages.runs import describe, file_of_run, log_lines
@@ -55,7 +55,7 @@ def start(request: Request, body: Body) -> object:
     runs = Runs(path)
     name = runs.free_name(command)
     folder = runs.prepare(name)
-    given = os.path.relpath(source, folder)
+    given = relative_path(source, folder)
     if command == "excite":
         flags.insert(0, f"--parameters={given}")
         given = f"../../{path.name}"

@@ -239,6 +239,6 @@ def snapshot(path: Path) -> str:
     steps = [step for each in experiments for step in each.get("steps", [])]
     for table in (document.get("arm", {}), *experiments, *steps):
         for key in ("file", "urdf"):
-            if key in table and not Path(table[key]).is_absolute():
+            if key in table and not Path(table[key]).anchor:
                 table[key] = f"../../{table[key]}"
     return tomlkit.dumps(document)

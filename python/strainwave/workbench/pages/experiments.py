@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator, Sequence
 from itertools import chain, count
 from pathlib import Path
@@ -24,6 +23,7 @@ from strainwave.init.changes import (
     tables_of,
 )
 from strainwave.init.rig_values import rig_changes
+from strainwave.io.system import relative_path
 from strainwave.workbench.pages.import_logs import logs_in
 from strainwave.workbench.pages.overview import columns_by_record
 from strainwave.workbench.study_form import shown
@@ -116,7 +116,7 @@ def _drafts(
             for log in logs:
                 yield from _drafts([log], study, urdf, n_joints)
         else:
-            name, file = logs[0].name.split(".")[0], os.path.relpath(logs[0], study.parent)
+            name, file = logs[0].name.split(".")[0], relative_path(logs[0], study.parent)
             yield tomlkit.dumps({"name": name, "file": file, "use": "motion"}), error
 
 

@@ -23,6 +23,7 @@ from strainwave.init.changes import KeyChange, edit_study
 from strainwave.init.signal_features import sequences_of
 from strainwave.io.kept_files import experiment_of, fingerprint, segments_of, study_at
 from strainwave.io.study import detrendable_channels, step_table, with_steps
+from strainwave.io.system import relative_path
 from strainwave.report.document import elastic
 from strainwave.report.document.predictions import unit_of
 from strainwave.report.figures.log_figures import (
@@ -70,7 +71,7 @@ def describe_record(request: Request) -> object:
             f" {prbs.periods:g} periods, amplitude {prbs.amplitude:g} {unit_of(channel)}"
             for channel, prbs in sequences_of(max(logs, key=len)).items()
         ],
-        "files": [str(each.relative_to(path.parent)) for each in study.log_paths(experiment)],
+        "files": [relative_path(each, path.parent) for each in study.log_paths(experiment)],
     }
 
 
