@@ -150,9 +150,10 @@ class Runs:
         if run.is_active and run.group is not None:
             system.kill_group(run.group)
             write_run(self.path(name), run.ended_as("cancelled"))
-        with suppress(OSError):
-            request.unlink()
-        return self.get(name)
+        run = self.get(name)
+        if not run.is_active:  # else the process of the run starts slowly, and is still to see it
+            request.unlink(missing_ok=True)
+        return run
 
     def remove(self, name: str) -> None:
         """Delete the folder of a run that has ended; raises InvalidInput if it is running."""
