@@ -66,7 +66,9 @@ check: develop
 	cargo clippy --workspace --all-targets --locked --quiet -- -D warnings
 	$(BIN)/ruff format --check
 	$(BIN)/ruff check
+	$(BIN)/ruff check --quiet --preview --select PLW1514 python benchmarks  # Windows has other encodings
 	$(BIN)/mypy
+	$(BIN)/mypy --platform win32 --cache-dir .mypy_cache/win32 python/strainwave
 	$(BIN)/lint-imports
 	$(BIN)/stubtest strainwave._core
 

@@ -25,7 +25,7 @@ class Console(console.Console):
         path = os.environ.get(TABLES_VARIABLE)
         for table in objects:
             if path and isinstance(table, Table):
-                with Path(path).open("a") as file:
+                with Path(path).open("a", encoding="utf-8") as file:
                     file.write(json.dumps(_content(table)) + "\n")
 
 

@@ -243,6 +243,7 @@ impl<A: WithPrograms<N>, const N: usize> Bench<A, N> {
 }
 
 /// Processor time of this thread [s]; other processes do not add to it.
+#[cfg(unix)]
 fn processor_time() -> f64 {
     let mut time = libc::timespec {
         tv_sec: 0,
@@ -252,4 +253,12 @@ fn processor_time() -> f64 {
     let status = unsafe { libc::clock_gettime(libc::CLOCK_THREAD_CPUTIME_ID, &raw mut time) };
     assert_eq!(status, 0);
     time.tv_sec as f64 + 1e-9 * time.tv_nsec as f64
+}
+
+/// Time since the first call [s], where there is no such clock.
+#[cfg(not(unix))]
+fn processor_time() -> f64 {
+    static START: std::sync::LazyLock<std::time::Instant> =
+        std::sync::LazyLock::new(std::time::Instant::now);
+    START.elapsed().as_secs_f64()
 }
