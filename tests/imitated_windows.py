@@ -69,19 +69,20 @@ def imitate() -> Kernel:
         if name.startswith("strainwave") and name != "strainwave._core":
             del sys.modules[name]
     kernel: Any = Kernel()
-    sys.modules |= dict.fromkeys(MISSING_MODULES) | {"_winapi": kernel}  # type: ignore[arg-type]
+    blocked: dict[str, Any] = dict.fromkeys(MISSING_MODULES)
+    sys.modules.update(blocked | {"_winapi": kernel})
     for module, attributes in MISSING:
         for attribute in attributes:
             delattr(module, attribute)
-    added: dict[str, Any] = {
-        "CREATE_NEW_PROCESS_GROUP": NEW_GROUP,
-        "CREATE_NO_WINDOW": NO_WINDOW,
-        "STARTUPINFO": SimpleNamespace,
-        "run": lambda command, **_: kernel.commands.append(command),
-    }
-    for name, value in added.items():
-        setattr(subprocess, name, value)
-    os.set_handle_inheritable = lambda handle, _: kernel.inheritable.append(handle)  # type: ignore[attr-defined]
+    added: tuple[tuple[ModuleType, str, Any], ...] = (
+        (subprocess, "CREATE_NEW_PROCESS_GROUP", NEW_GROUP),
+        (subprocess, "CREATE_NO_WINDOW", NO_WINDOW),
+        (subprocess, "STARTUPINFO", SimpleNamespace),
+        (subprocess, "run", lambda command, **_: kernel.commands.append(command)),
+        (os, "set_handle_inheritable", lambda handle, _: kernel.inheritable.append(handle)),
+    )
+    for module, name, value in added:
+        setattr(module, name, value)
     sys.platform = "win32"
     for name in names:
         importlib.import_module(name)
