@@ -138,12 +138,10 @@ def parse_toml(text: str, path: Path) -> dict[str, Any]:
             raise ValueError("a key has more than 100 parts")
         return tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # also a number of more than 4,300 digits
-        has_backslash = "Unescaped" in str(error)  # as in "C:\\logs"
-        raise InvalidInput(
-            f"is not valid TOML ({error})",
-            where=str(path),
-            remedy="write paths with / instead of \\" if has_backslash else "correct that line",
-        ) from error
+        is_path = "Unescaped" in str(error)  # as in "C:\\logs"
+        remedy = "write paths with / instead of \\" if is_path else "correct that line"
+        problem = f"is not valid TOML ({error})"
+        raise InvalidInput(problem, where=str(path), remedy=remedy) from error
 
 
 def read_json(path: Path, description: str, remedy: str) -> Any:

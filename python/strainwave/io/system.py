@@ -31,7 +31,6 @@ OWN_GROUP: dict[str, Any] = {"start_new_session": True}
 if sys.platform == "win32":
     OWN_GROUP["creationflags"] = subprocess.CREATE_NEW_PROCESS_GROUP | subprocess.CREATE_NO_WINDOW
 
-_OPEN_EXISTING, _OPEN_ALWAYS, _SHARING_VIOLATION = 3, 4, 32  # numbers of Windows
 _BUSY_S = 1.0  # [s] that another process may have a file open that is replaced
 
 
@@ -39,11 +38,11 @@ def try_lock(path: Path, *, create: bool = True) -> int | None:
     """Lock a file; None if it is locked. OSError if it cannot be opened or locked."""
     if sys.platform == "win32":
         access = _winapi.GENERIC_READ | _winapi.GENERIC_WRITE
-        how = _OPEN_ALWAYS if create else _OPEN_EXISTING
+        how = 4 if create else 3  # OPEN_ALWAYS, OPEN_EXISTING
         try:
             return _winapi.CreateFile(str(path), access, 0, 0, how, 0, 0)
         except OSError as error:
-            if error.winerror == _SHARING_VIOLATION:
+            if error.winerror == 32:  # ERROR_SHARING_VIOLATION
                 return None
             raise
     else:
@@ -146,10 +145,7 @@ def user_folder() -> Path:
 
 
 def replace_file(temporary: Path, final: Path) -> None:
-    """Rename a file, over another one if there is one.
-
-    Windows refuses while a process has the other one open; then this tries again for `_BUSY_S`.
-    """
+    """Rename a file. Windows refuses while the old one is open: tries again for `_BUSY_S`."""
     limit = time.monotonic() + _BUSY_S
     while True:
         try:

@@ -195,12 +195,11 @@ def is_runs_folder(name: str) -> bool:
 
 def check_name(name: str) -> None:
     """Raise InvalidInput unless the text is a plain file or run name."""
-    if _RESERVED.match(name):
-        raise InvalidInput(f"{name!r} is a device of Windows", remedy="choose another name")
-    if not _NAME.fullmatch(name) or len(name) > 120:
+    if not _NAME.fullmatch(name) or len(name) > 120 or _RESERVED.match(name):
         raise InvalidInput(
             f"{name!r} cannot be a name here",
-            remedy="begin with a letter or digit, and use letters, digits, spaces and .,_-()+=@",
+            remedy="begin with a letter or digit, and use letters, digits, spaces and .,_-()+=@; "
+            "con, nul and other devices of Windows are no names",
         )
 
 
