@@ -68,7 +68,7 @@ def imitate() -> Kernel:
     for name in list(sys.modules):
         if name.startswith("strainwave") and name != "strainwave._core":
             del sys.modules[name]
-    kernel: Any = Kernel()
+    kernel = Kernel()
     blocked: dict[str, Any] = dict.fromkeys(MISSING_MODULES)
     sys.modules.update(blocked | {"_winapi": kernel})
     for module, attributes in MISSING:

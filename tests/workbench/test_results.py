@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import subprocess
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +12,7 @@ import pytest
 pytest.importorskip("starlette")
 
 from strainwave.io import result_summaries as summaries
+from strainwave.io import system
 from strainwave.io.result_summaries import changed_options, toml_text
 from strainwave.workbench import runs as runs_module
 from strainwave.workbench.pages import estimate
@@ -202,15 +202,16 @@ def test_durations_leave_out_the_wait() -> None:
 def test_a_waiting_run_has_a_place_in_the_queue(tmp_path: Path) -> None:
     slots = tmp_path / "runtime" / "strainwave"
     slots.mkdir(mode=0o700)
-    with subprocess.Popen(["sleep", "60"]) as process, subprocess.Popen(["true"]) as ended:
-        ended.wait()
-        for number, pid in enumerate((ended.pid, os.getpid(), process.pid), start=1):
-            (slots / f"ticket-{number}.{pid}").touch()
-        (slots / "ticket-4.x").touch()
-        assert runs_ahead(process.pid) == 1
-        assert runs_ahead(os.getpid()) == 0
-        assert runs_ahead(ended.pid) is None
-        process.kill()
+    held = [
+        system.try_lock(slots / f"ticket-{number}.{group}") for number, group in ((2, 8), (3, 9))
+    ]
+    (slots / "ticket-1.7").touch()  # of a process that has ended
+    (slots / "ticket-4.x").touch()
+    assert [runs_ahead(group) for group in (7, 8, 9, None)] == [None, 0, 1, None]
+    for lock in held:
+        assert lock is not None
+        system.unlock(lock)
+    assert runs_ahead(9) is None
 
 
 def test_files_of_one_run_are_listed(client: TestClient, folder: Path) -> None:

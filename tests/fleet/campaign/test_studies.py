@@ -252,7 +252,7 @@ def test_a_campaign_file_is_given_alone(folder: Path) -> None:
 @pytest.mark.parametrize("name", ["../a.csv", "logs/../../a.csv", r"..\a.csv", r"C:\a.csv", r"\a"])
 def test_a_copied_study_names_only_files_of_its_folder(name: str) -> None:
     assert leaves_folder(PureWindowsPath(name))
-    assert leaves_folder(PurePosixPath(name)) == ("/.." in f"/{name}")
+    assert leaves_folder(PurePosixPath(name)) == ("/" in name)  # a backslash is a letter there
     assert not leaves_folder(PureWindowsPath(r"logs\a.csv"))
 
 
