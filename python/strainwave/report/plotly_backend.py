@@ -29,6 +29,7 @@ _ERROR_BAR_WIDTH = 1.2  # [px]
 _WHISKER_MARGIN, _WHISKER_ROW, _WHISKER_STEP = 90, 12, 9
 _SYMBOL_LINE_WIDTH = 1.5  # [px]
 _SYMBOLS = {"x": "x-thin-open", "circle-open": "circle-open"}
+_MAX_DIGITS, _LARGEST = 290, 1e300  # so that rounding does not overflow
 _SIGNIFICANT_DIGITS = 5  # of the largest value, on log axes of each: more than a screen resolves
 
 
@@ -139,10 +140,13 @@ def rounded(values: FloatArray, *, of_each: bool = False) -> list[float | None]:
             for value, is_finite in zip(values.tolist(), finite.tolist(), strict=True)
         ]
     shown = values[finite]
-    scale = float(np.ptp(shown)) if len(shown) else 0.0
-    scale = scale or float(np.abs(shown).max(initial=0.0))
+    with np.errstate(over="ignore"):  # of a range of 1e308 and more
+        scale = float(np.ptp(shown)) if len(shown) else 0.0
+    scale = min(scale or float(np.abs(shown).max(initial=0.0)), _LARGEST)
     digits = _SIGNIFICANT_DIGITS - (math.floor(math.log10(scale)) if scale > 0.0 else 0)
-    numbers: list[float | None] = np.round(values, digits).tolist()
+    numbers: list[float | None] = np.round(
+        np.where(finite, values, 0.0), min(digits, _MAX_DIGITS)
+    ).tolist()
     for gap in np.flatnonzero(~finite).tolist():
         numbers[gap] = None
     return numbers
