@@ -234,18 +234,17 @@ def choose_gear_effects(fit: ServoFit) -> tuple[ServoFit, Changes]:
     Friction that grows with the load hides in Coulomb friction unless the load changes, so that it
     is a rival even where it explains nothing.
     """
-    none: Changes = []
     arm = fit.loop.arm
     is_small = arm.has_planar_program and arm.n_joints <= _MAX_JOINTS_WITH_EFFECTS
     if fit.loop.has_gears or not is_small:
-        return fit, none
-    plain, effects, changes = fit, list[tuple[ServoFit, Changes]](), none
+        return fit, []
+    plain, effects, changes = fit, list[tuple[ServoFit, Changes]](), Changes()
     for i in plain.loop.numbers:
         for name in _tried_effects(plain.loop.arm, i):
             rival = _with_effect(plain, i, name, _GEAR_HZ, _DAMPING_RATIOS[name])
             if rival is None:
                 continue
-            is_decisive, errors = rival.cost < plain.cost - _DECISIVE_COST, none
+            is_decisive, errors = rival.cost < plain.cost - _DECISIVE_COST, Changes()
             if is_decisive and rival.values[name, i] >= _LEAST_SIZES[name]:
                 rival, errors = _stiffened(rival, i, name)
             if rival.values[name, i] >= _LEAST_SIZES[name]:
@@ -254,7 +253,7 @@ def choose_gear_effects(fit: ServoFit) -> tuple[ServoFit, Changes]:
                 plain = _restarted(plain, rival)
             if name == "load_friction":
                 changes += _changes(plain, rival, i)
-    best, errors = min(effects, key=lambda each: each[0].cost, default=(plain, none))
+    best, errors = min(effects, key=lambda each: each[0].cost, default=(plain, []))
     if best.cost < plain.cost - _DECISIVE_COST:  # others that explain a part are its rivals
         others = [each for each, _ in effects if each is not best and each.cost < plain.cost]
         rivals = [_change(best, each) for each in others]

@@ -278,11 +278,6 @@ class Guess:
     states: tuple[FloatArray, ...]
     deviations: FloatArray  # (n_segments, n_joints) [rad]
 
-    def thinned(self, every: int) -> Guess:
-        """Every k-th segment."""
-        kept = slice(None, None, every)
-        return Guess(self.values, self.segments[kept], self.states[kept], self.deviations[kept])
-
 
 def fit_segments(
     loop: ServoLoop,
