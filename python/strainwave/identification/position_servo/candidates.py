@@ -11,7 +11,7 @@ from strainwave.domain.arm.parameter_table import COULOMB
 from strainwave.domain.keys import JointNumber, Key, Values
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NumericalFailure
-from strainwave.identification.position_servo.fit import Guess, ServoFit, fit_segments
+from strainwave.identification.position_servo.fit import Guess, ServoFit, cost_of, fit_segments
 from strainwave.identification.position_servo.loop import (
     DELAY,
     GEAR_DAMPING,
@@ -197,9 +197,11 @@ def choose_delay(fit: ServoFit) -> tuple[ServoFit, Changes]:
         values = _with_later_command(fit, free, shift)
         if values is None or abs(shift) < 0.5 * _DELAY_STEP:
             continue
-        sizes = np.maximum(deviations(fit.loop, values, fit.segments, fit.states), fit.resolution)
-        counts = np.array([len(segment.time) for segment in fit.segments])
-        cost = float(np.sum(2.0 * counts[:, None] * np.log(sizes)))
+        try:
+            sizes = deviations(fit.loop, values, fit.segments, fit.states)
+        except (InvalidInput, NumericalFailure):  # the loop is not stable with this delay
+            continue
+        cost = cost_of(fit.segments, np.maximum(sizes, fit.resolution))
         if cost < fit.cost + _PROMISING_COST * rows:
             rival = fit_from(fit.loop, values, fit.segments, fit.resolution, passes=2)
             fits += [rival] if rival is not None else []

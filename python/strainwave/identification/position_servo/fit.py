@@ -59,6 +59,12 @@ class SegmentRows:
     saturated: BoolArray  # (n_joints,) whether the output reaches its limit
 
 
+def cost_of(segments: Sequence[Segment], deviations: FloatArray) -> float:
+    """Cost of residuals (n_segments, n_joints) [rad]; see `ServoFit.cost`."""
+    counts = np.array([len(segment.time) for segment in segments])
+    return float(np.sum(2.0 * counts[:, None] * np.log(deviations)))
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class ServoFit:
     """Values at the minimum, and the rows of all segments there."""
@@ -79,8 +85,7 @@ class ServoFit:
     @property
     def cost(self) -> float:
         """Minus twice the log-likelihood, up to a constant, with one variance per segment."""
-        counts = np.array([len(segment.time) for segment in self.segments])
-        return float(np.sum(2.0 * counts[:, None] * np.log(self.deviations)))
+        return cost_of(self.segments, self.deviations)
 
     @property
     def x(self) -> FloatArray:
