@@ -42,19 +42,15 @@ const DRIVES: [[f64; 12]; 2] = [
 ];
 
 fn main() {
+    let arguments: Vec<String> = std::env::args().filter(|one| one != "--bench").collect();
+    if let [_, arm, width, directions, steps] = &arguments[..] {
+        return run_once(arm, width, directions == "derivatives", steps);
+    }
     drop(std::hint::black_box(vec![1_u8; KEPT_MEMORY]));
-    let widths = [Width::Portable, Width::Avx2, Width::Avx512];
-    for width in widths.into_iter().filter(|&one| one <= Width::detect()) {
+    for &width in Width::available() {
         println!("{width:?} [ns a step]");
         for (name, gravity) in [("horizontal", 0.0), ("vertical", 9.81)] {
-            let arm = TwoLink {
-                link_length: 0.35,
-                gravity,
-                accelerometer_distance: [0.33, 0.27],
-            };
-            let gravity_torques = [gravity * 3.2, gravity * 0.75];
-            let links = [&[1.6097, 0.64425, 0.7875][..], &gravity_torques].concat();
-            bench_two_link(name, arm, &links, width);
+            bench_two_link(name, gravity, width);
         }
         bench_chain(3, width);
         bench_chain(6, width);
@@ -62,15 +58,47 @@ fn main() {
     }
 }
 
-fn bench_two_link(name: &str, arm: TwoLink<true>, links: &[f64], width: Width) {
-    let parameters = [links, DRIVES.as_flattened()].concat();
-    let plain = Bench::new(arm, &parameters, STEPS_PER_TICK, &[Quantity::MotorVelocity]);
+/// One run, whose instructions another program counts.
+fn run_once(arm: &str, width: &str, has_derivatives: bool, steps: &str) {
+    let is_width = |one: &&Width| format!("{one:?}") == width;
+    let width = *Width::available().iter().find(is_width).expect("a width");
+    let steps = steps.parse().expect("a number of steps");
+    let checksum = match arm {
+        "two-link" => two_link(0.0).run_once(width, has_derivatives, steps),
+        joints => chain(joints.parse().expect("a number of joints")).run_once(
+            width,
+            has_derivatives,
+            steps,
+        ),
+    };
+    println!("{checksum:016x}");
+}
+
+/// The built-in arm, horizontal or under gravity.
+fn two_link(gravity: f64) -> Bench<TwoLink<true>, 2> {
+    let arm = TwoLink {
+        link_length: 0.35,
+        gravity,
+        accelerometer_distance: [0.33, 0.27],
+    };
+    let links = links_of_two(gravity);
+    let parameters = [&links, DRIVES.as_flattened()].concat();
+    Bench::new(arm, &parameters, STEPS_PER_TICK, &[Quantity::MotorVelocity])
+}
+
+/// Parameters of the links of the built-in arm.
+fn links_of_two(gravity: f64) -> [f64; 5] {
+    [1.6097, 0.64425, 0.7875, gravity * 3.2, gravity * 0.75]
+}
+
+fn bench_two_link(name: &str, gravity: f64, width: Width) {
+    let plain = two_link(gravity);
     println!(
         "{name} two-link arm, simulation: {:.1}",
         plain.simulation(width)
     );
     let sensors = [Quantity::MotorVelocity, Quantity::Accelerometer];
-    let block_sensors = Bench::new(arm, &parameters, 1, &sensors);
+    let block_sensors = Bench::new(plain.task.config.arm, &plain.parameters, 1, &sensors);
     let taps = vec![vec![0.01; TAPS_PER_ROW * STEPS_PER_TICK]; sensors.len()];
     let low_pass = Decimation::new(taps, STEPS_PER_TICK);
     let varied = block_sensors.directions(&["gravity_torque_1", "gravity_torque_2"]);
@@ -86,8 +114,8 @@ fn bench_two_link(name: &str, arm: TwoLink<true>, links: &[f64], width: Width) {
     for joint in &mut stribeck.task.config.joints {
         joint.effects.stribeck = true;
     }
-    let [first, second] = DRIVES;
-    stribeck.parameters = [links, &first, &[0.02, 3.0], &second, &[0.01, 3.0]].concat();
+    let ([first, second], links) = (DRIVES, links_of_two(gravity));
+    stribeck.parameters = [&links[..], &first, &[0.02, 3.0], &second, &[0.01, 3.0]].concat();
     let one = &stribeck.directions(&[])[..1];
     println!(
         "{name} two-link arm with Stribeck friction, simulation: {:.1}, with one derivative {:.1}",
@@ -96,8 +124,8 @@ fn bench_two_link(name: &str, arm: TwoLink<true>, links: &[f64], width: Width) {
     );
 }
 
-/// A plain run of a chain, and one with derivatives by all parameters that change the motion.
-fn bench_chain(count: usize, width: Width) {
+/// A chain of equal links and drives under gravity.
+fn chain(count: usize) -> Bench<SerialChain<MAX_CHAIN_JOINTS>, MAX_CHAIN_JOINTS> {
     let joint = |i: usize| ChainJoint {
         joint_type: JointType::Revolute,
         position: [0.0, 0.0, 0.2],
@@ -119,6 +147,12 @@ fn bench_chain(count: usize, width: Width) {
     let links = links.filter(|name| name.0 != "link_viscous_friction");
     chain.parameters = links.map(|name| value(name.0)).collect();
     chain.parameters.extend(DRIVES[0].repeat(count));
+    chain
+}
+
+/// A plain run of a chain, and one with derivatives by all parameters that change the motion.
+fn bench_chain(count: usize, width: Width) {
+    let chain = chain(count);
     let all = chain.directions(&[]);
     let (plain, varied) = (
         chain.simulation(width),
@@ -206,6 +240,30 @@ impl<A: WithPrograms<N>, const N: usize> Bench<A, N> {
                 voltage: [0.0; N],
             },
         }
+    }
+
+    /// Checksum of the results of a run of some steps.
+    fn run_once(mut self, width: Width, has_derivatives: bool, steps: usize) -> u64 {
+        let programs = self.task.config.arm.programs();
+        self.task.clock.samples = steps / STEPS_PER_TICK + 1;
+        let directions = self.directions(&[]);
+        let (task, member) = (&self.task, &self.member());
+        let (values, tangents) = if has_derivatives {
+            let request = Request {
+                task,
+                member,
+                directions: &directions,
+                decimation: None,
+            };
+            let all = programs.differentiate(&request, width).expect("finite");
+            (all.values, all.tangents)
+        } else {
+            let record = programs.simulate(task, member, width).expect("finite");
+            (record, Vec::new())
+        };
+        let all = values.iter().flat_map(|rows| rows.as_flattened());
+        let all = all.chain(tangents.iter().flatten());
+        all.fold(0, |sum, number| sum.rotate_left(1) ^ number.to_bits())
     }
 
     fn simulation(&self, width: Width) -> f64 {

@@ -339,10 +339,7 @@ pub fn compiled<A: Arm<N>, const N: usize>(
     programs: Programs<A, N>,
     width: Width,
 ) -> Box<dyn CompiledArm> {
-    assert!(
-        width <= Width::detect(),
-        "this processor does not support {width:?}"
-    );
+    width.require();
     Box::new(Compiled {
         config,
         kinematics: config.arm.chain().into(),

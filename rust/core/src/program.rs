@@ -3,7 +3,7 @@
 //! A program is one instance of a generic function of this module. Each program takes seconds to
 //! compile, so an arm has few of them. [`Programs`] lists fast programs, which are justified by a
 //! benchmark, and general programs for every gear law and every effect. On x86-64 the processor's
-//! features decide at run time which of them are used. This is the only module that names scalars
+//! features decide at run time which of them are used; every aarch64 processor uses the same. This is the only module that names scalars
 //! beyond the baseline of the target; each program checks the processor's features first.
 
 use std::marker::PhantomData;
@@ -13,30 +13,32 @@ use crate::experiment::simulate::Simulate;
 use crate::experiment::{Diverged, Member, Record, Task, values};
 use crate::joint::gear::{AllLaws, Gears, Slopes};
 #[cfg(target_arch = "x86_64")]
-use crate::scalar::lanes::{F64x4, F64x8, Fused};
+use crate::scalar::lanes::F64x8;
+#[cfg(any(target_arch = "aarch64", target_arch = "x86_64"))]
+use crate::scalar::lanes::{F64x2 as Baseline, Fused as One, Pack as Several};
 use crate::scalar::{Lanes, Real};
 use crate::sensitivity::dual_simulation::differentiate_over_dual_numbers;
 use crate::sensitivity::effect::without_plant_effects;
 use crate::sensitivity::forward::ForwardSensitivity;
 use crate::sensitivity::{Request, Sensitivities};
 
-#[cfg(target_arch = "x86_64")]
-mod scalars {
-    pub(super) type One = super::Fused;
-    pub(super) type Four = super::F64x4;
-}
-#[cfg(not(target_arch = "x86_64"))]
+/// On other targets one scalar serves for everything.
+#[cfg(not(any(target_arch = "aarch64", target_arch = "x86_64")))]
 mod scalars {
     pub(super) type One = f64;
-    pub(super) type Four = f64;
+    pub(super) type Several = f64;
+    pub(super) type Baseline = f64;
 }
-use scalars::{Four, One};
+#[cfg(not(any(target_arch = "aarch64", target_arch = "x86_64")))]
+use scalars::{Baseline, One, Several};
 
 /// The registers of a processor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Width {
     /// The baseline of the target.
     Portable,
+    /// NEON, of every aarch64 processor: two numbers in a register, and fused multiply-add.
+    Neon,
     /// AVX2 and fused multiply-add: four numbers in a register.
     Avx2,
     /// AVX-512 (F, VL, DQ, BW): eight numbers in a register.
@@ -44,8 +46,8 @@ pub enum Width {
 }
 
 impl Width {
-    /// The widest registers of this processor.
-    pub fn detect() -> Self {
+    /// The registers of this processor, from the narrowest.
+    pub fn available() -> &'static [Self] {
         #[cfg(target_arch = "x86_64")]
         {
             let avx2 = is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma");
@@ -54,25 +56,37 @@ impl Width {
                 && is_x86_feature_detected!("avx512dq")
                 && is_x86_feature_detected!("avx512bw");
             if avx2 && avx512 {
-                return Self::Avx512;
+                return &[Self::Portable, Self::Avx2, Self::Avx512];
             }
             if avx2 {
-                return Self::Avx2;
+                return &[Self::Portable, Self::Avx2];
             }
         }
-        Self::Portable
+        if cfg!(target_arch = "aarch64") {
+            return &[Self::Portable, Self::Neon];
+        }
+        &[Self::Portable]
+    }
+
+    /// The widest registers of this processor.
+    pub fn detect() -> Self {
+        Self::available()[Self::available().len() - 1]
     }
 
     /// The narrowest registers for which all programs but [`baseline`] are compiled.
     pub const COMPILED: Self = if cfg!(target_arch = "x86_64") {
         Self::Avx2
+    } else if cfg!(target_arch = "aarch64") {
+        Self::Neon
     } else {
         Self::Portable
     };
 
-    fn require(self) {
+    /// # Panics
+    /// The processor has no registers of this width.
+    pub(crate) fn require(self) {
         assert!(
-            self <= Self::detect(),
+            Self::available().contains(&self),
             "this processor does not support {self:?}"
         );
     }
@@ -173,7 +187,7 @@ pub fn forward<A: Arm<N>, G: Gears, const N: usize, const EFFECTS: bool>(
     request: &Request<'_, A, N>,
 ) -> Result<Sensitivities<N>, Diverged> {
     Width::COMPILED.require();
-    forward_on::<A, One, Four, Four, G, N, EFFECTS>(request)
+    forward_on::<A, One, Several, Several, G, N, EFFECTS>(request)
 }
 
 /// [`forward`] with eight directions per AVX-512 register.
@@ -189,7 +203,7 @@ pub fn forward_avx512<A: Arm<N>, G: Gears, const N: usize, const EFFECTS: bool>(
     request: &Request<'_, A, N>,
 ) -> Result<Sensitivities<N>, Diverged> {
     Width::Avx512.require();
-    forward_on::<A, One, F64x8, Four, G, N, EFFECTS>(request)
+    forward_on::<A, One, F64x8, Several, G, N, EFFECTS>(request)
 }
 
 /// [`forward`], because this target has no wider registers.
@@ -215,7 +229,7 @@ pub fn dual_numbers<A: Arm<N>, G: Gears, const N: usize, const EFFECTS: bool>(
     request: &Request<'_, A, N>,
 ) -> Result<Sensitivities<N>, Diverged> {
     Width::COMPILED.require();
-    differentiate_over_dual_numbers::<A, One, Four, G, N, EFFECTS>(request)
+    differentiate_over_dual_numbers::<A, One, Several, G, N, EFFECTS>(request)
 }
 
 /// [`dual_numbers`] for every gear law and effect on the baseline of the target.
@@ -225,7 +239,7 @@ pub fn dual_numbers<A: Arm<N>, G: Gears, const N: usize, const EFFECTS: bool>(
 pub fn baseline<A: Arm<N>, const N: usize>(
     request: &Request<'_, A, N>,
 ) -> Result<Sensitivities<N>, Diverged> {
-    differentiate_over_dual_numbers::<A, f64, f64, AllLaws, N, true>(request)
+    differentiate_over_dual_numbers::<A, f64, Baseline, AllLaws, N, true>(request)
 }
 
 fn forward_on<

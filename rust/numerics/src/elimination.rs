@@ -6,7 +6,7 @@
 //! (Erisman and Tinney, Communications of the ACM 18, 1975). Matrices are stored as bands, row by
 //! row: bands fit into the processor's caches, full matrices do not.
 
-use crate::products::multiply_add;
+use crate::products::{BASELINE_IS_FUSED, multiply_add};
 
 /// Number of rows whose products are added in one pass.
 const ROWS_PER_PASS: usize = 4;
@@ -65,7 +65,7 @@ pub fn eliminate(z: Windows<'_>, y: &[f64], sides: usize, leverage: bool) -> Opt
         // SAFETY: both features have just been detected.
         return unsafe { eliminate_avx2(z, y, sides, leverage) };
     }
-    eliminate_with::<false>(z, y, sides, leverage)
+    eliminate_with::<BASELINE_IS_FUSED>(z, y, sides, leverage)
 }
 
 #[cfg(target_arch = "x86_64")]
@@ -212,7 +212,7 @@ pub fn residual_products_without_blocks(
         // SAFETY: both features have just been detected.
         return unsafe { residual_products_without_blocks_avx2(z, y, sides, stops) };
     }
-    residual_products_with::<false>(z, y, sides, stops)
+    residual_products_with::<BASELINE_IS_FUSED>(z, y, sides, stops)
 }
 
 #[cfg(target_arch = "x86_64")]

@@ -32,8 +32,7 @@ pub enum Part {
 
 /// Adds left' right, summed over `count` rows, to a (left.width, right.width) row-major matrix.
 ///
-/// Uses vectors of four numbers and fused multiply-add if the processor has them, decided at run
-/// time.
+/// Uses vectors and fused multiply-add if the processor has them, decided at run time on x86-64.
 pub fn add_products(target: &mut [f64], left: Rows<'_>, right: Rows<'_>, count: usize, part: Part) {
     assert_eq!(target.len(), left.width * right.width);
     if count == 0 {
@@ -47,7 +46,7 @@ pub fn add_products(target: &mut [f64], left: Rows<'_>, right: Rows<'_>, count: 
         // SAFETY: both features have just been detected.
         return unsafe { add_products_avx2(target, left, right, count, part) };
     }
-    blocks::<false>(target, left, right, count, part);
+    blocks::<BASELINE_IS_FUSED>(target, left, right, count, part);
 }
 
 #[cfg(target_arch = "x86_64")]
@@ -127,6 +126,9 @@ fn whole_tile<const FUSED: bool>(
         target.iter_mut().zip(row).for_each(|(t, s)| *t += s);
     }
 }
+
+/// Whether the baseline of the target has fused multiply-add.
+pub const BASELINE_IS_FUSED: bool = cfg!(target_arch = "aarch64");
 
 /// a b + c, rounded once if the processor has an instruction for it.
 #[inline(always)]

@@ -14,7 +14,7 @@
 
 use crate::linalg::solve_lower;
 use crate::model::{Model, Record, Shape};
-use strainwave_numerics::products::{Part, Rows, add_products, multiply_add};
+use strainwave_numerics::products::{BASELINE_IS_FUSED, Part, Rows, add_products, multiply_add};
 
 /// Number of samples whose derivatives are stored before they are summed; they fit into the
 /// first-level cache.
@@ -286,14 +286,14 @@ impl<'a> Filters<'a> {
     }
 
     /// Computes the rows of one block, with vector instructions if the processor has them (decided
-    /// at run time).
+    /// at run time on x86-64).
     fn fill(&mut self, u: &[f64], y: &[f64], rows: &mut [f64]) {
         #[cfg(target_arch = "x86_64")]
         if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
             // SAFETY: both features have just been detected.
             return unsafe { self.fill_avx2(u, y, rows) };
         }
-        self.fill_body::<false>(u, y, rows);
+        self.fill_body::<BASELINE_IS_FUSED>(u, y, rows);
     }
 
     #[cfg(target_arch = "x86_64")]

@@ -3,7 +3,7 @@
 mod aligned;
 mod dual;
 mod jet;
-#[cfg(target_arch = "x86_64")]
+#[cfg(any(target_arch = "aarch64", target_arch = "x86_64"))]
 pub(crate) mod lanes;
 mod real;
 mod solve;

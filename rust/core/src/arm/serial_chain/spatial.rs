@@ -152,6 +152,8 @@ fn sum_outwards<R: Real, const K: usize>(
     for k in 0..K {
         if R::PACKED > 1 {
             all[k] = all[k] + R::shift_up(all[k], false, 0.0);
+        }
+        if R::PACKED > 2 {
             all[k] = all[k] + R::shift_up(all[k], true, 0.0);
         }
         if !is_zero {
@@ -173,6 +175,8 @@ fn sum_inwards<R: Real, const K: usize>(
     for k in 0..K {
         if R::PACKED > 1 {
             all[k] = all[k] + R::shift_down(all[k], false);
+        }
+        if R::PACKED > 2 {
             all[k] = all[k] + R::shift_down(all[k], true);
         }
         if !is_zero {
@@ -298,6 +302,8 @@ impl<const N: usize, const KNOWN: bool> SerialChain<N, KNOWN> {
         all.origin = scaled(R::pack(&at.shift[first..]), &slide, &position);
         if R::PACKED > 1 {
             all = shift_up::<R>(&all, false).then(&all);
+        }
+        if R::PACKED > 2 {
             all = shift_up::<R>(&all, true).then(&all);
         }
         if first > 0 {
