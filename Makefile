@@ -6,7 +6,7 @@ BIN    := $(VENV)/bin
 DEMO   := build/demo
 RUST   := $(shell find rust -name '*.rs' -o -name Cargo.toml 2>/dev/null) Cargo.toml Cargo.lock
 
-.PHONY: setup develop demo comparisons test check bench claims docs wheel sdist dist-check lock clean
+.PHONY: setup develop demo comparisons test cross instructions check bench claims docs wheel sdist dist-check lock clean
 
 setup: $(VENV)/.built
 
@@ -60,6 +60,23 @@ test: develop
 	PROPTEST_RNG_SEED=$(SEED) cargo test --release --workspace --exclude strainwave-python --locked --quiet
 	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -q -n $(WORKERS) --dist loadfile \
 	  --hypothesis-profile=fresh --hypothesis-seed=$(SEED)
+
+# The same compiler for both processors, with a standard library for aarch64: packages of Debian,
+# which .ci/run lists. Programs are static, because in the emulator threads of others hang.
+CROSS := aarch64-unknown-linux-gnu
+cross instructions: export RUSTC := /usr/bin/rustc
+cross instructions: export CARGO_TARGET_AARCH64_UNKNOWN_LINUX_GNU_LINKER := aarch64-linux-gnu-gcc
+cross instructions: export CARGO_TARGET_AARCH64_UNKNOWN_LINUX_GNU_RUNNER := qemu-aarch64-static
+cross instructions: export CARGO_TARGET_AARCH64_UNKNOWN_LINUX_GNU_RUSTFLAGS := -C target-feature=+crt-static
+
+# Tests of the core for aarch64 in an emulator, with fewer drawn cases.
+cross:
+	PROPTEST_CASES=8 cargo test --release --locked --quiet --target $(CROSS) -p strainwave-core \
+	  -p strainwave-numerics -p strainwave-statespace -p strainwave-arms --lib --tests
+
+# Counts the instructions of a step on aarch64 and x86-64.
+instructions: develop
+	$(BIN)/python -m benchmarks.instructions
 
 check: develop
 	cargo fmt --all --check

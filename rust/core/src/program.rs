@@ -342,7 +342,8 @@ impl<A: Arm<N>, const N: usize> Programs<A, N> {
         match width {
             _ if !has_forward => (self.general.dual_numbers)(request),
             _ if !task.config.has_gears::<Slopes>() => (self.general.forward)(request),
-            Width::Avx512 => (self.fast.forward_avx512)(request),
+            // compiled on aarch64 too, for the registers there
+            Width::Neon | Width::Avx512 => (self.fast.forward_avx512)(request),
             _ => (self.fast.forward)(request),
         }
     }

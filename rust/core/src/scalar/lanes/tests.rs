@@ -46,18 +46,14 @@ fn check_lanes<R: Lanes>(numbers: &[f64; MAX_LANES], from: [Option<usize>; MAX_L
     let four: [f64; 4] = std::array::from_fn(|k| 10.0 + k as f64);
     let actual = R::load(numbers).replace_selected(&R::selection(from), &four);
     let mut rows = [[0.0; 4]; MAX_LANES];
-    if R::LANES <= 4 {
-        let all = std::array::from_fn(|k| R::load(numbers) + four[k]);
-        R::store_rows(&all, &mut rows);
-    }
+    let all = std::array::from_fn(|k| R::load(numbers) + four[k]);
+    R::store_rows(&all, &mut rows);
     for lane in 0..R::LANES {
         assert_eq!(
             actual.lane(lane),
             from[lane].map_or(numbers[lane], |k| four[k])
         );
-        if R::LANES <= 4 {
-            assert_eq!(rows[lane], four.map(|of| numbers[lane] + of));
-        }
+        assert_eq!(rows[lane], four.map(|of| numbers[lane] + of));
     }
 }
 
