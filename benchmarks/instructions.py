@@ -1,7 +1,7 @@
 """Instructions per step of the compiled programs on aarch64 and x86-64, counted in an emulator.
 
-The emulator writes the instructions of each block once, and a line whenever it enters the block. The
-difference of two runs excludes their beginnings.
+The emulator writes the instructions of each block once, and a line whenever it enters the block.
+The difference of two runs excludes their beginnings.
 
 make instructions
 """
@@ -23,20 +23,17 @@ TRACE = ("-d", "nochain,exec,in_asm")
 
 
 @dataclass(frozen=True)
-class Program:
-    """Programs for one width of registers, and the emulator that runs them."""
+class Machine:
+    """A target of the compiler, the registers of its programs, and an emulator of it."""
 
-    width: str
     target: str
+    width: str
     emulator: tuple[str, ...]
 
 
-ARM = ("aarch64-unknown-linux-gnu", ("qemu-aarch64-static",))
-INTEL = ("x86_64-unknown-linux-gnu", ("qemu-x86_64-static", "-cpu", "max"))
-PROGRAMS = tuple(
-    Program(width, *machine)
-    for machine, widths in ((ARM, ("Portable", "Neon")), (INTEL, ("Portable", "Avx2")))
-    for width in widths
+MACHINES = (
+    Machine("aarch64-unknown-linux-gnu", "Neon", ("qemu-aarch64-static",)),
+    Machine("x86_64-unknown-linux-gnu", "Avx2", ("qemu-x86_64-static", "-cpu", "max")),
 )
 
 
@@ -53,9 +50,9 @@ def executable(target: str) -> str:
     return str(next(path for path in paths if path))
 
 
-def instructions(program: Program, path: str, arm: str, kind: str, steps: int) -> int:
+def instructions(machine: Machine, path: str, arm: str, kind: str, steps: int) -> int:
     """Instructions of a run."""
-    command = (*program.emulator, *TRACE, path, arm, program.width, kind, str(steps))
+    command = (*machine.emulator, *TRACE, path, arm, machine.width, kind, str(steps))
     sizes: Counter[int] = Counter()
     block = total = 0
     with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as run:
@@ -76,12 +73,12 @@ def instructions(program: Program, path: str, arm: str, kind: str, steps: int) -
 
 
 def main() -> None:
-    table = Table("step", *(f"{one.target.split('-')[0]} {one.width}" for one in PROGRAMS))
-    paths = {target: executable(target) for target, _ in (ARM, INTEL)}
+    table = Table("step", *(f"{one.target.split('-')[0]}, {one.width}" for one in MACHINES))
+    paths = [executable(machine.target) for machine in MACHINES]
     for arm, name in ARMS.items():
         for kind in ("simulation", "derivatives"):
             few, many = (
-                [instructions(one, paths[one.target], arm, kind, steps) for one in PROGRAMS]
+                [instructions(*at, arm, kind, steps) for at in zip(MACHINES, paths, strict=True)]
                 for steps in STEPS
             )
             added = STEPS[1] - STEPS[0]
