@@ -3,8 +3,9 @@
 //! A program is one instance of a generic function of this module. Each program takes seconds to
 //! compile, so an arm has few of them. [`Programs`] lists fast programs, which are justified by a
 //! benchmark, and general programs for every gear law and every effect. On x86-64 the processor's
-//! features decide at run time which of them are used; every aarch64 processor uses the same. This is the only module that names scalars
-//! beyond the baseline of the target; each program checks the processor's features first.
+//! features decide at run time which of them are used; every aarch64 processor uses the same. This
+//! is the only module that names scalars beyond the baseline of the target; each program checks the
+//! processor's features first.
 
 use std::marker::PhantomData;
 
