@@ -1,7 +1,8 @@
 """Instructions per step of the compiled programs on aarch64 and x86-64, counted in an emulator.
 
 The emulator writes the instructions of each block once, and a line whenever it enters the block.
-The difference of two runs excludes their beginnings.
+The difference of two runs excludes their beginnings. In brackets: the share of instructions on
+registers that hold several numbers.
 
 make instructions
 """
@@ -18,7 +19,11 @@ from rich.table import Table
 from benchmarks.console import Console
 
 STEPS = (80, 160)
-ARMS = {"two-link": "two-link arm", "7": "chain of 7 joints"}
+ROWS = (
+    ("two-link arm, simulation", "two-link", "simulation"),
+    ("two-link arm, 27 derivatives", "two-link", "derivatives"),
+    ("chain of 7 joints, simulation", "7", "simulation"),
+)
 TRACE = ("-d", "nochain,exec,in_asm")
 
 
@@ -28,12 +33,15 @@ class Machine:
 
     target: str
     width: str
+    several_numbers: tuple[bytes, ...]
+    """Text in a disassembled instruction on registers that hold several numbers."""
     emulator: tuple[str, ...]
 
 
 MACHINES = (
-    Machine("aarch64-unknown-linux-gnu", "Neon", ("qemu-aarch64-static",)),
-    Machine("x86_64-unknown-linux-gnu", "Avx2", ("qemu-x86_64-static", "-cpu", "max")),
+    Machine("aarch64-unknown-linux-gnu", "Neon", (b".2d",), ("qemu-aarch64-static",)),
+    Machine("x86_64-unknown-linux-gnu", "Avx2", (b"%ymm",), ("qemu-x86_64-static", "-cpu", "max")),
+    Machine("x86_64-unknown-linux-gnu", "Portable", (b"pd ",), ("qemu-x86_64-static",)),
 )
 
 
@@ -50,40 +58,49 @@ def executable(target: str) -> str:
     return str(next(path for path in paths if path))
 
 
-def instructions(machine: Machine, path: str, arm: str, kind: str, steps: int) -> int:
-    """Instructions of a run."""
+def instructions(machine: Machine, path: str, arm: str, kind: str, steps: int) -> Counter[bool]:
+    """Instructions of a run; those on registers with several numbers are under True."""
     command = (*machine.emulator, *TRACE, path, arm, machine.width, kind, str(steps))
-    sizes: Counter[int] = Counter()
-    block = total = 0
+    blocks: dict[int, Counter[bool]] = {}
+    entries: Counter[int] = Counter()
+    block = None
     with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as run:
         assert run.stderr is not None
         for line in run.stderr:
             if line.startswith(b"Trace"):
-                total += sizes[int(line.split(b"/")[1], 16)]
+                entries[int(line.split(b"/")[1], 16)] += 1
             elif line.startswith(b"IN:"):
-                block = 0
+                block = None
             elif line.startswith(b"0x"):
-                if not block:
-                    block = int(line[: line.index(b":")], 16)
-                    sizes[block] = 0
-                sizes[block] += 1
+                address, text = line.split(b":  ", 1)
+                if block is None:
+                    block = blocks[int(address, 16)] = Counter()
+                if b"  " in text:  # otherwise it is the ninth byte of the instruction above
+                    block[any(part in text for part in machine.several_numbers)] += 1
     if run.returncode != 0:
         raise subprocess.CalledProcessError(run.returncode, command)
+    total: Counter[bool] = Counter()
+    for address_of_block, count in entries.items():
+        for is_several, size in blocks[address_of_block].items():
+            total[is_several] += count * size
     return total
 
 
+def per_step(machine: Machine, path: str, arm: str, kind: str) -> str:
+    """Instructions of a step, and the share of those on registers with several numbers."""
+    few, many = (instructions(machine, path, arm, kind, steps) for steps in STEPS)
+    many.subtract(few)
+    total = many.total()
+    return f"{total / (STEPS[1] - STEPS[0]):.0f} ({100 * many[True] / total:.0f} %)"
+
+
 def main() -> None:
-    table = Table("step", *(f"{one.target.split('-')[0]}, {one.width}" for one in MACHINES))
-    paths = [executable(machine.target) for machine in MACHINES]
-    for arm, name in ARMS.items():
-        for kind in ("simulation", "derivatives"):
-            few, many = (
-                [instructions(*at, arm, kind, steps) for at in zip(MACHINES, paths, strict=True)]
-                for steps in STEPS
-            )
-            added = STEPS[1] - STEPS[0]
-            per_step = [(b - a) / added for a, b in zip(few, many, strict=True)]
-            table.add_row(f"{name}, {kind}", *(f"{count:.0f}" for count in per_step))
+    heads = (f"{one.target.split('-')[0]}, {one.width}" for one in MACHINES)
+    table = Table("instructions per step", *heads)
+    paths = {target: executable(target) for target in {one.target for one in MACHINES}}
+    for name, arm, kind in ROWS:
+        counts = (per_step(one, paths[one.target], arm, kind) for one in MACHINES)
+        table.add_row(name, *counts)
     Console().print(table)
 
 
