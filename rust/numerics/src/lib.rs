@@ -1,8 +1,9 @@
 //! Numerics that are independent of arms and models.
 //!
-//! [`products`] adds products of tall matrices, tile by tile in registers. [`elimination`]
-//! eliminates local unknowns from least-squares problems. Matrices are row-major slices; samples
-//! are rows.
+//! [`products`] adds products of tall matrices, tile by tile in registers. [`triangular`] computes
+//! the triangular factor of a tall matrix. [`elimination`] eliminates local unknowns from
+//! least-squares problems. Matrices are row-major slices; samples are rows.
 
 pub mod elimination;
 pub mod products;
+pub mod triangular;

@@ -1,0 +1,330 @@
+//! Triangular factor R of a table with many rows, A = QR, in one pass over the rows.
+//!
+//! The rows are gathered in blocks that fit into the processor's second-level cache, and
+//! Householder reflections of [R; block] annihilate each block (sequential tall-skinny QR; Demmel,
+//! Grigori, Hoemmen and Langou, SIAM Journal on Scientific Computing 34, 2012). Since R is
+//! triangular, the reflection of a column changes one row of R. The reflections of a panel of
+//! columns are applied to other columns as one product I - V T' V' (Schreiber and Van Loan, SIAM
+//! Journal on Scientific and Statistical Computing 10, 1989).
+
+use crate::products::multiply_add;
+
+/// Columns of a panel.
+const PANEL: usize = 8;
+/// Rows of a block: a panel of them and one of the reflections fit into the first-level cache.
+const BLOCK: usize = 192;
+/// Rows whose updates are kept in registers; `BLOCK` is a multiple.
+const TILE_ROWS: usize = 6;
+/// Reflections whose products are kept in registers.
+const TILE_REFLECTIONS: usize = 4;
+/// Sums over every third row, so that no sum waits for the previous one; a divisor of `TILE_ROWS`.
+const SEPARATE_SUMS: usize = 3;
+/// Sum of squares below which a column is zero: smaller sums are inaccurate.
+const MIN_SQUARE: f64 = f64::MIN_POSITIVE / f64::EPSILON;
+
+/// Entries of one row in the columns of a panel.
+#[derive(Clone, Copy)]
+#[repr(align(64))]
+struct Row([f64; PANEL]);
+
+/// Square matrix of a panel.
+type Tile = [[f64; PANEL]; PANEL];
+
+const ZERO_ROW: Row = Row([0.0; PANEL]);
+const ZERO_TILE: Tile = [[0.0; PANEL]; PANEL];
+
+/// Reflections I - V T' V' of the columns of a panel, with V = [I; X diag(scale)].
+///
+/// The identity matrix is in the rows of R. X is in the block, where it replaces the panel.
+#[derive(Clone, Copy)]
+struct Reflections {
+    scale: [f64; PANEL],
+    /// Transpose of the triangular T.
+    transpose: Tile,
+}
+
+/// Triangular factor of the rows added so far.
+///
+/// Backward stable for entries whose squares neither overflow nor underflow. Entries that are not
+/// finite make those of R not finite.
+pub struct TriangularFactor {
+    columns: usize,
+    panels: usize,
+    /// Tiles (panels, panels) of R, zero below the diagonal.
+    r: Vec<Tile>,
+    /// Rows (panels, BLOCK) that R does not contain yet.
+    block: Vec<Row>,
+    rows: usize,
+    reflections: Vec<Reflections>,
+}
+
+impl TriangularFactor {
+    /// The factor of a table with `columns` columns and no rows.
+    pub fn new(columns: usize) -> Self {
+        let panels = columns.div_ceil(PANEL);
+        let none = Reflections {
+            scale: [0.0; PANEL],
+            transpose: ZERO_TILE,
+        };
+        Self {
+            columns,
+            panels,
+            r: vec![ZERO_TILE; panels * panels],
+            block: vec![ZERO_ROW; panels * BLOCK],
+            rows: 0,
+            reflections: vec![none; panels],
+        }
+    }
+
+    /// Adds a row of the table.
+    pub fn add(&mut self, row: &[f64]) {
+        assert_eq!(row.len(), self.columns);
+        for (panel, entries) in row.chunks(PANEL).enumerate() {
+            self.block[panel * BLOCK + self.rows].0[..entries.len()].copy_from_slice(entries);
+        }
+        self.rows += 1;
+        if self.rows == BLOCK {
+            self.reduce();
+        }
+    }
+
+    /// R, (columns, columns) row-major. Row j is zero if all entries of column j are.
+    pub fn finish(mut self) -> Vec<f64> {
+        let padded = self.rows.next_multiple_of(TILE_ROWS);
+        for panel in self.block.chunks_exact_mut(BLOCK) {
+            panel[self.rows..padded].fill(ZERO_ROW);
+        }
+        self.rows = padded;
+        self.reduce();
+        let entry = |(i, j): (usize, usize)| {
+            self.r[i / PANEL * self.panels + j / PANEL][i % PANEL][j % PANEL]
+        };
+        let places = (0..self.columns).flat_map(|i| (0..self.columns).map(move |j| (i, j)));
+        places.map(entry).collect()
+    }
+
+    /// Makes the factor contain the block.
+    fn reduce(&mut self) {
+        #[cfg(target_arch = "x86_64")]
+        if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
+            // SAFETY: both features have just been detected.
+            return unsafe { self.reduce_avx2() };
+        }
+        self.reduce_with::<false>();
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx2,fma")]
+    fn reduce_avx2(&mut self) {
+        self.reduce_with::<true>();
+    }
+
+    #[inline(always)]
+    fn reduce_with<const FUSED: bool>(&mut self) {
+        for j in 0..self.panels {
+            let (earlier, later) = self.block.split_at_mut(j * BLOCK);
+            let panel = &mut later[..self.rows];
+            for (i, x) in earlier.chunks_exact(BLOCK).enumerate() {
+                let r = &mut self.r[i * self.panels + j];
+                self.reflections[i].apply::<FUSED>(&x[..self.rows], r, panel);
+            }
+            self.reflections[j] = annihilate::<FUSED>(&mut self.r[j * self.panels + j], panel);
+        }
+        self.rows = 0;
+    }
+}
+
+/// Rows of a linearised least-squares problem, with a factor for each row.
+#[derive(Clone, Copy)]
+pub struct WeightedRows<'a> {
+    /// Derivatives (samples, channels, unknowns), without the factors.
+    pub columns: &'a [f64],
+    /// Factors (samples, channels).
+    pub scale: &'a [f64],
+    /// Residuals (samples, channels), with their factors.
+    pub residual: &'a [f64],
+    /// Number of channels.
+    pub channels: usize,
+    /// Number of unknowns.
+    pub unknowns: usize,
+}
+
+impl WeightedRows<'_> {
+    /// R of [scale columns, residual], (unknowns + 1, unknowns + 1) row-major, after elimination of
+    /// a constant in the unscaled rows of each channel of `biased`.
+    pub fn factor(self, biased: &[usize]) -> Vec<f64> {
+        let n = self.unknowns;
+        let constants = self.constants(biased);
+        let mut factor = TriangularFactor::new(n + 1);
+        let mut weighted = vec![0.0; n + 1];
+        for at in 0..self.scale.len() {
+            let (scale, row) = (self.scale[at], &self.columns[at * n..][..n]);
+            let constant = &constants[at % self.channels * (n + 1)..][..n + 1];
+            for k in 0..n {
+                weighted[k] = scale * (row[k] - constant[k]);
+            }
+            weighted[n] = self.residual[at] - scale * constant[n];
+            factor.add(&weighted);
+        }
+        factor.finish()
+    }
+
+    /// Constants (channels, unknowns + 1) that fit the unscaled rows best; zero without a bias.
+    fn constants(self, biased: &[usize]) -> Vec<f64> {
+        let n = self.unknowns;
+        let mut constants = vec![0.0; self.channels * (n + 1)];
+        let mut power = vec![0.0; self.channels];
+        for first in (0..self.scale.len()).step_by(self.channels) {
+            for &channel in biased {
+                let (at, scale) = (first + channel, self.scale[first + channel]);
+                let sums = &mut constants[channel * (n + 1)..][..n + 1];
+                let (row, weight) = (&self.columns[at * n..][..n], scale * scale);
+                for k in 0..n {
+                    sums[k] += weight * row[k];
+                }
+                sums[n] += scale * self.residual[at];
+                power[channel] += weight;
+            }
+        }
+        for (sums, power) in constants.chunks_exact_mut(n + 1).zip(power) {
+            let divisor = if power > 0.0 { power } else { 1.0 };
+            sums.iter_mut().for_each(|sum| *sum /= divisor);
+        }
+        constants
+    }
+}
+
+impl Reflections {
+    /// Applies the reflections with the entries `x` in the block to columns of R and of the block.
+    #[inline(always)]
+    fn apply<const FUSED: bool>(&self, x: &[Row], r: &mut Tile, block: &mut [Row]) {
+        // V' [R; block]
+        let mut sums = products::<FUSED>(x, block);
+        for k in 0..PANEL {
+            for b in 0..PANEL {
+                sums[k][b] = multiply_add::<FUSED>(self.scale[k], sums[k][b], r[k][b]);
+            }
+        }
+        let mut steps = ZERO_TILE;
+        for a in 0..PANEL {
+            for k in 0..=a {
+                for b in 0..PANEL {
+                    steps[a][b] =
+                        multiply_add::<FUSED>(self.transpose[a][k], sums[k][b], steps[a][b]);
+                }
+            }
+            for b in 0..PANEL {
+                r[a][b] -= steps[a][b];
+                steps[a][b] *= -self.scale[a];
+            }
+        }
+        add_multiples::<FUSED>(block, x, &steps);
+    }
+}
+
+/// Reflections that annihilate a panel of the block below the diagonal tile of R.
+#[inline(always)]
+fn annihilate<const FUSED: bool>(r: &mut Tile, panel: &mut [Row]) -> Reflections {
+    let mut scale = [0.0; PANEL];
+    let mut transpose = ZERO_TILE;
+    // products of the column with all columns of the panel
+    let mut sums = update::<FUSED>(panel, 0, &[0.0; PANEL], 0);
+    for j in 0..PANEL {
+        let mut step = [0.0; PANEL];
+        if sums[j] >= MIN_SQUARE || sums[j].is_nan() {
+            let diagonal = r[j][j];
+            let norm = (diagonal * diagonal + sums[j]).sqrt();
+            let reflected = if diagonal > 0.0 { -norm } else { norm };
+            scale[j] = 1.0 / (diagonal - reflected);
+            let tau = (reflected - diagonal) / reflected;
+            // column j of T: -tau T V'v above the diagonal
+            for i in 0..j {
+                for k in i..j {
+                    let product = scale[k] * scale[j] * sums[k];
+                    transpose[j][i] -= tau * transpose[k][i] * product;
+                }
+            }
+            transpose[j][j] = tau;
+            for k in j + 1..PANEL {
+                let change = tau * (r[j][k] + scale[j] * sums[k]);
+                r[j][k] -= change;
+                step[k] = -scale[j] * change;
+            }
+            r[j][j] = reflected;
+        }
+        if j + 1 < PANEL {
+            sums = update::<FUSED>(panel, j, &step, j + 1);
+        }
+    }
+    Reflections { scale, transpose }
+}
+
+/// Adds multiples of a column to the columns of a panel. Returns the products of another column
+/// with them.
+#[inline(always)]
+fn update<const FUSED: bool>(
+    panel: &mut [Row],
+    column: usize,
+    multiples: &[f64; PANEL],
+    other: usize,
+) -> [f64; PANEL] {
+    let mut sums = [[0.0; PANEL]; SEPARATE_SUMS];
+    for rows in panel.chunks_exact_mut(SEPARATE_SUMS) {
+        for (Row(row), sum) in rows.iter_mut().zip(&mut sums) {
+            let entry = row[column];
+            let next = multiply_add::<FUSED>(entry, multiples[other], row[other]);
+            for b in 0..PANEL {
+                row[b] = multiply_add::<FUSED>(entry, multiples[b], row[b]);
+                sum[b] = multiply_add::<FUSED>(next, row[b], sum[b]);
+            }
+        }
+    }
+    let mut total = [0.0; PANEL];
+    for sum in sums {
+        for b in 0..PANEL {
+            total[b] += sum[b];
+        }
+    }
+    total
+}
+
+/// Sums x' block over the rows.
+#[inline(always)]
+fn products<const FUSED: bool>(x: &[Row], block: &[Row]) -> Tile {
+    let mut sums = ZERO_TILE;
+    for (part, target) in sums.chunks_exact_mut(TILE_REFLECTIONS).enumerate() {
+        let first = part * TILE_REFLECTIONS;
+        let mut tile = [[0.0; PANEL]; TILE_REFLECTIONS];
+        for (Row(x), Row(row)) in x.iter().zip(block) {
+            for a in 0..TILE_REFLECTIONS {
+                for b in 0..PANEL {
+                    tile[a][b] = multiply_add::<FUSED>(x[first + a], row[b], tile[a][b]);
+                }
+            }
+        }
+        target.copy_from_slice(&tile);
+    }
+    sums
+}
+
+/// Adds x steps to the rows of a block.
+#[inline(always)]
+fn add_multiples<const FUSED: bool>(block: &mut [Row], x: &[Row], steps: &Tile) {
+    let tiles = block.chunks_exact_mut(TILE_ROWS);
+    for (rows, x) in tiles.zip(x.chunks_exact(TILE_ROWS)) {
+        let mut tile: [[f64; PANEL]; TILE_ROWS] = std::array::from_fn(|a| rows[a].0);
+        for k in 0..PANEL {
+            for a in 0..TILE_ROWS {
+                for b in 0..PANEL {
+                    tile[a][b] = multiply_add::<FUSED>(x[a].0[k], steps[k][b], tile[a][b]);
+                }
+            }
+        }
+        for (row, values) in rows.iter_mut().zip(tile) {
+            row.0 = values;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;
