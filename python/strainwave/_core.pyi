@@ -19,6 +19,8 @@ __all__ = [
     "joint_effects",
     "parameter_table",
     "residual_products_without_blocks",
+    "triangular_factor",
+    "weighted_factor",
 ]
 
 GEAR_CORNER: float
@@ -228,6 +230,23 @@ def residual_products_without_blocks(
 
     Y, Z and G = Z'Z + I lack the block's rows. The GIL is released. Raises ValueError for stops
     that do not rise within the rows, sizes that do not fit and entries that are not finite.
+    """
+
+def triangular_factor(table: NDArray[np.float64]) -> NDArray[np.float64]:
+    """R (n, n) of the QR decomposition of a contiguous table (n_rows, n). The GIL is released."""
+
+def weighted_factor(
+    columns: NDArray[np.float64],
+    scale: NDArray[np.float64],
+    residual: NDArray[np.float64],
+    biased: Sequence[int],
+) -> NDArray[np.float64]:
+    """R (n + 1, n + 1) of the rows [scale columns, residual] without the biases of some channels.
+
+    `columns` (n_rows, n_channels, n) are derivatives, `scale` (n_rows, n_channels) their factors.
+    `residual` (n_rows, n_channels) contains the factors. The rows of each channel of `biased` are
+    projected onto the complement of its factors. The table is not stored. The GIL is released.
+    Raises ValueError for sizes that do not fit and arrays that are not contiguous.
     """
 
 def hankel_gram(

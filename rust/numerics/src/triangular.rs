@@ -134,6 +134,15 @@ impl TriangularFactor {
     }
 }
 
+/// R of a table with rows of `columns` entries, (columns, columns) row-major.
+pub fn factor(table: &[f64], columns: usize) -> Vec<f64> {
+    let mut factor = TriangularFactor::new(columns);
+    if columns > 0 {
+        table.chunks_exact(columns).for_each(|row| factor.add(row));
+    }
+    factor.finish()
+}
+
 /// Rows of a linearised least-squares problem, with a factor for each row.
 #[derive(Clone, Copy)]
 pub struct WeightedRows<'a> {
@@ -174,9 +183,11 @@ impl WeightedRows<'_> {
         let n = self.unknowns;
         let mut constants = vec![0.0; self.channels * (n + 1)];
         let mut power = vec![0.0; self.channels];
-        for first in (0..self.scale.len()).step_by(self.channels) {
+        let samples = self.scale.len().checked_div(self.channels).unwrap_or(0);
+        for sample in 0..samples {
             for &channel in biased {
-                let (at, scale) = (first + channel, self.scale[first + channel]);
+                let at = sample * self.channels + channel;
+                let scale = self.scale[at];
                 let sums = &mut constants[channel * (n + 1)..][..n + 1];
                 let (row, weight) = (&self.columns[at * n..][..n], scale * scale);
                 for k in 0..n {

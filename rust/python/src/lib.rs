@@ -7,6 +7,7 @@ mod least_squares;
 mod load_stream;
 mod parameters;
 mod statespace;
+mod triangular;
 
 use pyo3::prelude::*;
 
@@ -18,6 +19,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<load_stream::LoadStream>()?;
     statespace::register(module)?;
     least_squares::register(module)?;
+    triangular::register(module)?;
     parameters::register(module)?;
     module.add("GEAR_CORNER", strainwave_core::joint::gear::CORNER)?;
     Ok(())

@@ -13,12 +13,6 @@ fn whole_numbers(seed: u64, count: usize) -> Vec<f64> {
     (0..count).map(|_| next() as f64 - 1000.0).collect()
 }
 
-fn factor(table: &[f64], columns: usize) -> Vec<f64> {
-    let mut factor = TriangularFactor::new(columns);
-    table.chunks_exact(columns).for_each(|row| factor.add(row));
-    factor.finish()
-}
-
 /// A'A of a row-major table.
 fn gram(table: &[f64], columns: usize) -> Vec<f64> {
     let mut sums = vec![0.0; columns * columns];
@@ -62,12 +56,6 @@ fn plain_factor(table: &[f64], columns: usize) -> Vec<f64> {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig {
-        cases: 64,
-        failure_persistence: None,
-        ..ProptestConfig::default()
-    })]
-
     /// R'R = A'A to rounding, for columns of any size, zero columns, equal columns and few rows.
     #[test]
     fn factor_has_the_products_of_the_table(
