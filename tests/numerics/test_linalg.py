@@ -7,11 +7,16 @@ import pytest
 from scipy.linalg import expm
 
 from strainwave.domain import FloatArray
-from strainwave.numerics.linalg import exponential, singular_values, triangular_factor
+from strainwave.numerics.linalg import (
+    exponential,
+    singular_values,
+    triangular_factor,
+    weighted_factor,
+)
 
 
-@pytest.mark.parametrize("shape", [(3, 5), (7, 7), (399, 4), (800, 3), (2501, 22), (1000, 450)])
-def test_blocks_have_the_factor_of_the_whole(shape: tuple[int, int]) -> None:
+@pytest.mark.parametrize("shape", [(7, 7), (399, 4), (800, 3), (2501, 22), (1000, 450)])
+def test_a_triangular_factor_is_lapacks(shape: tuple[int, int]) -> None:
     rng = np.random.default_rng(shape[0])
     table = rng.normal(size=shape) * 10.0 ** rng.uniform(-6.0, 6.0, shape[1])
     expected, R = np.asarray(np.linalg.qr(table, mode="r")), triangular_factor(table)
@@ -20,6 +25,32 @@ def test_blocks_have_the_factor_of_the_whole(shape: tuple[int, int]) -> None:
     size = np.linalg.norm(table, axis=0)
     # the sign of each row of R is arbitrary
     np.testing.assert_allclose(np.abs(R) / size, np.abs(expected) / size, atol=1e-12)
+
+
+@pytest.mark.parametrize("shape", [(0, 3), (3, 5), (5, 0)])
+def test_a_triangular_factor_is_square_for_any_number_of_rows(shape: tuple[int, int]) -> None:
+    table = np.random.default_rng(1).normal(size=shape)
+    R = triangular_factor(table)
+    assert R.shape == (shape[1], shape[1])
+    np.testing.assert_allclose(R.T @ R, table.T @ table, atol=1e-14)
+
+
+def test_a_triangular_factor_takes_strided_tables() -> None:
+    table = np.random.default_rng(1).normal(size=(50, 8))
+    R, expected = triangular_factor(table[:, ::2]), triangular_factor(table[:, ::2].copy())
+    np.testing.assert_array_equal(R, expected)
+
+
+def test_a_weighted_factor_takes_strided_columns_and_rejects_sizes_that_do_not_fit() -> None:
+    columns, rows = np.random.default_rng(1).normal(size=(4, 3, 4)), np.ones((4, 3))
+    R = weighted_factor(columns[..., ::2], rows, rows, [2])
+    np.testing.assert_array_equal(R, weighted_factor(columns[..., ::2].copy(), rows, rows, [2]))
+    with pytest.raises(ValueError, match="scale: expected 4 x 3 values, got 3 x 4"):
+        weighted_factor(columns, np.ones((3, 4)), rows, [])
+    with pytest.raises(ValueError, match="residual: expected 4 x 3 values, got 4 x 2"):
+        weighted_factor(columns, rows, rows[:, :2], [])
+    with pytest.raises(ValueError, match="biased: expected numbers below 3, got 3"):
+        weighted_factor(columns, rows, rows, [0, 3])
 
 
 def test_a_triangular_factor_is_more_accurate_than_normal_equations() -> None:

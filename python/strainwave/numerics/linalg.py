@@ -5,13 +5,14 @@ Matrices with few, contiguous entries per row.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from strainwave import _core
 from strainwave.domain import BoolArray, FloatArray, IntArray
 
-_BLOCK_ROWS = 400  # rows of a block whose factorisation fits the processor cache
 _TAYLOR_TERMS = 18  # number of Taylor terms: 0.5^19 / 19! is below rounding
 
 
@@ -29,19 +30,31 @@ def exponential(matrix: FloatArray) -> FloatArray:
 
 
 def triangular_factor(table: FloatArray) -> FloatArray:
-    """Triangular factor R of the QR decomposition of a tall matrix, block by block.
+    """Triangular factor R (n, n) of the QR decomposition of a table (n_rows, n).
 
-    R has shape (n, n), or fewer rows if the table has fewer. The method is backward stable (Demmel,
-    Grigori, Hoemmen and Langou, 2012), and takes less than half the time of one QR decomposition if
-    the table does not fit the cache.
+    The signs of the rows of R are arbitrary. R is zero in rows of zero columns, and to rounding in
+    other rows if the table has fewer rows than columns. The method is backward stable (Demmel,
+    Grigori, Hoemmen and Langou, 2012). The GIL is released.
     """
-    n_rows, n = table.shape
-    n_blocks = n_rows // max(_BLOCK_ROWS, 2 * n)
-    if n_blocks > 1:
-        n_blocked_rows = n_rows // n_blocks * n_blocks
-        blocks = np.asarray(np.linalg.qr(table[:n_blocked_rows].reshape(n_blocks, -1, n), mode="r"))
-        table = np.concatenate([blocks.reshape(-1, n), table[n_blocked_rows:]])
-    return np.asarray(np.linalg.qr(table, mode="r"))
+    return _core.triangular_factor(np.ascontiguousarray(table))
+
+
+def weighted_factor(
+    columns: FloatArray, scale: FloatArray, residual: FloatArray, biased: Sequence[int]
+) -> FloatArray:
+    """Triangular factor R (n + 1, n + 1) of [scale columns, residual] without biases.
+
+    `columns` (n_rows, n_channels, n) are derivatives, `scale` (n_rows, n_channels) their factors.
+    `residual` (n_rows, n_channels) contains its factors. A bias is a constant in a channel of
+    `biased`: the rows of the channel are projected onto the complement of the channel's factors.
+    The table is not stored, which halves the time of large ones. The GIL is released.
+    """
+    return _core.weighted_factor(
+        np.ascontiguousarray(columns),
+        np.ascontiguousarray(scale),
+        np.ascontiguousarray(residual),
+        biased,
+    )
 
 
 def singular_values(matrix: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

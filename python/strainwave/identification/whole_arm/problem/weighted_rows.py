@@ -13,7 +13,7 @@ import numpy as np
 
 from strainwave.domain import BoolArray, FloatArray
 from strainwave.identification.whole_arm.records.dataset import Dataset
-from strainwave.numerics.linalg import triangular_factor
+from strainwave.numerics.linalg import triangular_factor, weighted_factor
 from strainwave.numerics.search import Linearised
 from strainwave.numerics.spectra import rows_per_error
 
@@ -179,12 +179,11 @@ class Rows:
         curvature = np.sum(square / (1.0 + self.residual**2), axis=0) / np.sum(square, axis=0)
         curvature = np.sqrt(np.maximum(curvature, min_curvature_ratio))
         columns, n = self.evaluated.columns, self.evaluated.n_initial
-        table = np.empty((*self.residual.shape, columns.shape[2] + 1))
         scale = self.root * (curvature / self.stds)
-        np.multiply(columns, scale[..., None], out=table[..., :-1])
-        np.multiply(self.residual, self.root / curvature, out=table[..., -1])
-        self.evaluated.remove_biases(table, scale)
-        return triangular_factor(table.reshape(-1, table.shape[2]))[n:, n:]
+        if self.evaluated.is_counted is not None:
+            scale *= self.evaluated.is_counted
+        residual = self.residual * (self.root / curvature)
+        return weighted_factor(columns, scale, residual, self.evaluated.biased)[n:, n:]
 
     def cost(self, weights: Weights) -> float:
         """Soft L1 loss of the record."""
