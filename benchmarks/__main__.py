@@ -1,7 +1,7 @@
 """Run all benchmarks, or the named ones, and print one table.
 
-python -m benchmarks [arm] [chain] [length] [payload] [read] [rigid] [servo] [statespace] [tuning]
-    [workbench]
+python -m benchmarks [arm] [chain] [factor] [length] [payload] [read] [rigid] [servo] [statespace]
+    [tuning] [workbench]
 """
 
 from __future__ import annotations
