@@ -45,3 +45,17 @@ def test_factor_eliminates_biases_and_initial_states(n_initial: int, is_masked: 
     norms = np.linalg.norm(others, axis=0)
     R, expected = R / norms, expected / norms
     np.testing.assert_allclose(R.T @ R, expected.T @ expected, atol=1e-13)
+
+
+def test_masked_rows_of_additional_columns_have_no_weight() -> None:
+    rng = np.random.default_rng(5)
+    counted = rng.uniform(size=SHAPE) > 0.3
+    columns, difference = rng.normal(size=(*SHAPE, 4)), rng.normal(size=SHAPE) * counted
+    weights, own = Weights(np.ones(SHAPE[1]), np.full(SHAPE[1], 4.0)), np.zeros(len(BIASED))
+    masked, unmasked = (
+        Evaluation(difference, each, own, BIASED, counted).weigh(weights)
+        for each in (columns * counted[..., None], columns)
+    )
+    np.testing.assert_allclose(
+        unmasked.factor(MIN_CURVATURE_RATIO), masked.factor(MIN_CURVATURE_RATIO), atol=1e-12
+    )
