@@ -39,8 +39,10 @@ from strainwave.identification.whole_arm.records.preparation import (
     coarsen_steps,
     cutoff_of,
     dataset_of,
+    resolutions_of,
     select_usable_records,
 )
+from strainwave.identification.whole_arm.records.tracking import tracked_inertias
 from strainwave.identification.whole_arm.search import Fit, search_minimum
 from strainwave.identification.whole_arm.selection.mountings import select_mountings
 from strainwave.identification.whole_arm.selection.sensor_constants import (
@@ -177,11 +179,17 @@ def _records(
     resonances = [joint.resonance.frequency_hz for joint in joints if joint.resonance]
     cutoff = options.cutoff_hz or cutoff_of(used, arm, max(resonances, default=None))
     plain = keep_known_effects(arm, ())
-    records = tuple(dataset_of(log, plain, cutoff, closed_loop=options.closed_loop) for log in used)
+    resolutions = resolutions_of(used)
+    records = tuple(
+        dataset_of(log, plain, cutoff, closed_loop=options.closed_loop, resolutions=resolutions)
+        for log in used
+    )
     for record in records:
         _check_link_encoders(record, arm)
     step = 1.0 / (STEPS_PER_PERIOD * cutoff)
-    return records, [coarsen_steps(record, step) for record in records]
+    inertia = None if options.closed_loop else tracked_inertias(joints, arm)
+    long = (coarsen_steps(record, step) for record in records)
+    return records, [replace(record, tracked_inertia=inertia) for record in long]
 
 
 def _scan_uncertain(

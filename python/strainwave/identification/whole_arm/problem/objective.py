@@ -321,7 +321,9 @@ class Objective:
         channels, tangent = record.linearise(values, record_parameters[:n_begin], self.space.keys)
         columns = np.empty(tangent.shape)
         columns[..., :n_begin] = tangent[..., n:]
-        np.matmul(tangent[..., :n], slope, out=columns[..., n_begin:])
+        np.multiply(tangent[..., :n], np.diagonal(slope), out=columns[..., n_begin:])
+        for upper, lower in zip(*np.nonzero(slope - np.diag(np.diagonal(slope))), strict=True):
+            columns[..., n_begin + lower] += slope[upper, lower] * tangent[..., upper]
         biases = _spread(record_parameters[n_begin:], record)
         difference = channels + biases - record.advance_measured(values)
         if record.is_counted is not None:  # zero rows carry no information

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import chain
 
@@ -58,12 +58,35 @@ def cutoff_of(logs: Sequence[Log], arm: Arm, highest_resonance_hz: float | None)
     return min(resonance_limit, sampling_limit, *(velocity_band(log, arm) for log in logs))
 
 
-def dataset_of(log: Log, arm: Arm, cutoff_hz: float, *, closed_loop: bool = False) -> Dataset:
+def resolutions_of(logs: Sequence[Log]) -> dict[str, float]:
+    """Resolution of each channel: its least change between two samples in any of the logs.
+
+    A sensor that does not move may give the same reading in a whole record, whose noise is then
+    unknown. Without rounding, the least change is far below the noise.
+    """
+    resolutions: dict[str, float] = {}
+    for log in logs:
+        for name, samples in log.channels.items():
+            changes = np.abs(np.diff(samples))
+            least = float(np.min(changes, initial=np.inf, where=changes > 0.0))
+            resolutions[name] = min(resolutions.get(name, np.inf), least)
+    return {name: least for name, least in resolutions.items() if np.isfinite(least)}
+
+
+def dataset_of(
+    log: Log,
+    arm: Arm,
+    cutoff_hz: float,
+    *,
+    closed_loop: bool = False,
+    resolutions: Mapping[str, float] | None = None,
+) -> Dataset:
     """Prepare a log for the comparison with simulated arms.
 
     `cutoff_hz` is that of the low-pass. With `closed_loop`, the servo of the study drives servoed
     joints if the log has the required signals; otherwise the recorded voltages drive all joints.
-    Raises `InvalidInput` if the log lacks motor signals or is too short for the low-pass.
+    `resolutions` are those of channels whose sensor has none in the study, zero by default. Raises
+    `InvalidInput` if the log lacks motor signals or is too short for the low-pass.
     """
     missing = missing_motor_signal(arm, log)
     if missing:
@@ -85,7 +108,8 @@ def dataset_of(log: Log, arm: Arm, cutoff_hz: float, *, closed_loop: bool = Fals
     channels = (*motors, *chain.from_iterable(links))
     raw = [log.channels[channel.channel] for channel in channels]
     rows = [kernels.rows(x, slope=c.reads_angle) for x, c in zip(raw, channels, strict=True)]
-    counts = tuple(channel.sensor.resolution for channel in channels)
+    estimated = resolutions or {}
+    counts = tuple(c.sensor.resolution or estimated.get(c.channel, 0.0) for c in channels)
     if closed_loop and missing_recorded_input(arm, log) is None:
         drive = recorded_drive(arm, log)
     else:
@@ -171,6 +195,7 @@ def _decimate(record: Dataset, every: int) -> Dataset:
         drive=replace(coarse.drive, voltage=voltage),
         hold_change=change,
         noise=record.noise,
+        counts=record.counts,
         begins_in_motion=record.begins_in_motion,
     )
 
