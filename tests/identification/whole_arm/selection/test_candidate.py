@@ -32,7 +32,9 @@ def fit_of(columns: FloatArray) -> Fit:
     space = SimpleNamespace(
         linearise_prior=lambda _: prior, keys=names, lower=-1e6 + 0.0 * z, upper=1e6 + 0.0 * z
     )
-    objective = SimpleNamespace(rows=lambda _: [rows], space=space)
+    objective = SimpleNamespace(
+        rows=lambda _: [rows], map_rows=lambda _, work: [work(0, rows)], space=space
+    )
     return Fit.at(cast(Objective, objective), z)
 
 

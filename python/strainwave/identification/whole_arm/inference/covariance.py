@@ -35,7 +35,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
+from itertools import pairwise
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -46,7 +46,6 @@ from strainwave.identification.whole_arm.problem.objective import BLOCKS_PER_REC
 from strainwave.identification.whole_arm.problem.weighted_rows import Rows, noise_autocovariances
 from strainwave.identification.whole_arm.records.dataset import Dataset
 from strainwave.identification.whole_arm.search import Fit
-from strainwave.numerics.parallel import run_parallel
 from strainwave.numerics.spectra import spectrum_and_autocovariance
 
 MIN_VARIANCE_SHARE = 1e-3
@@ -107,12 +106,14 @@ def confidence_at(objective: Objective, z: FloatArray) -> Confidence:
 
     `z`, (n_unknowns,), minimises `objective`.
     """
-    noise = (
-        np.minimum(1.0, record.noise / weights.stds)
-        for record, weights in zip(objective.records, objective.weights, strict=True)
-    )
-    each = zip(objective.records, objective.rows(z), objective.blocks(), noise, strict=True)
-    records = run_parallel([partial(evidence_of, *one) for one in each])
+    blocks_of_rows = objective.blocks()
+
+    def evidence(k: int, rows: Rows) -> RecordGradients:
+        record = objective.records[k]
+        noise = np.minimum(1.0, record.noise / objective.weights[k].stds)
+        return evidence_of(record, rows, blocks_of_rows[k], noise)
+
+    records = objective.map_rows(z, evidence)
     space, prior, n_records = objective.space, objective.space.prior, len(records)
     slope = space.slope(z)
     rows, own_rows = prior.rows @ slope, space.own_prior[0] @ slope
@@ -277,13 +278,16 @@ def evidence_of(record: Dataset, rows: Rows, block: IntArray, noise: FloatArray)
     table = rows.shared_columns
     width, n = table.shape[1:]
     shared = table.reshape(-1, n)
-    gradients = shared * (rows.residual * rows.root).reshape(-1, 1)
-    labels, segment = np.unique(np.repeat(block, width), return_inverse=True)
-    sums = np.zeros((len(labels), n))
-    np.add.at(sums, segment, gradients)
+    weighted_residual = (rows.residual * rows.root).ravel()
+    starts = [*np.flatnonzero(np.diff(block, prepend=-1)) * width, len(shared)]
+    segments = (slice(*ends) for ends in pairwise(starts))  # of consecutive rows
+    sums = np.array([weighted_residual[one] @ shared[one] for one in segments])
     robust_scale = np.sqrt(1.0 + rows.residual**2)
+    product = shared.T @ shared
     scaled = shared / robust_scale.reshape(-1, 1)
-    columns = shared.reshape(-1, width, n) * (rows.root * robust_scale)[..., None]
+    curvature = scaled.T @ scaled
+    np.multiply(shared, (rows.root * robust_scale).reshape(-1, 1), out=scaled)
+    columns = scaled.reshape(-1, width, n)
     steady, of_noise, rows_in = np.zeros((n, n)), np.zeros((n, n)), len(columns)
     for k, lags in enumerate(noise_autocovariances(record)):
         errors = _autocovariance(rows.residual[:, k], float(noise[k]))
@@ -293,7 +297,7 @@ def evidence_of(record: Dataset, rows: Rows, block: IntArray, noise: FloatArray)
         own_noise[: len(correlation)] = errors[0] * share * of_loss
         covariances = gradient_covariances(columns[:, k], (errors, own_noise))
         steady, of_noise = steady + covariances[0], of_noise + covariances[1]
-    return RecordGradients(sums, shared.T @ shared, scaled.T @ scaled, steady, of_noise)
+    return RecordGradients(sums, product, curvature, steady, of_noise)
 
 
 def gradient_covariances(

@@ -249,7 +249,8 @@ def _information(fit: Fit, arm: Arm, candidates: Sequence[_AddedSensor]) -> list
     keys, slope = objective.space.keys, objective.space.slope(fit.z)
     parameter_places = [k for k, key in enumerate(keys) if not constant_of(key)]
 
-    def one(record: Dataset, rows: Rows) -> list[FloatArray]:
+    def one(k: int, rows: Rows) -> list[FloatArray]:
+        record = objective.records[k]
         extended = _with_candidates(record, arm, candidates)
         n_begin = len(record.initial_states)
         simulated = [keys[k] for k in parameter_places]
@@ -260,15 +261,15 @@ def _information(fit: Fit, arm: Arm, candidates: Sequence[_AddedSensor]) -> list
         columns = rows.columns
         factor = triangular_factor(columns.reshape(-1, columns.shape[2]))
         information = [_shared_information(factor, n_begin)]
-        for k, (axis, _) in enumerate(candidates):
+        for number, (axis, _) in enumerate(candidates):
             # columns: bias of the sensor, initial states, shared unknowns
             sensor_rows = np.zeros((len(readings), 1 + columns.shape[2]))
             sensor_rows[:, 0] = axis.sensor.has_bias
-            sensor_rows[:, 1 : 1 + n_begin] = tangent[:, k, len(parameter_places) :]
-            sensor_rows[:, 1 + n_begin :] = (
-                tangent[:, k, : len(parameter_places)] @ slope[parameter_places]
-            )
-            stacked = np.concatenate([np.pad(factor, ((0, 0), (1, 0))), scale[k] * sensor_rows])
+            by_parameters, by_start = np.split(tangent[:, number], [len(parameter_places)], axis=1)
+            sensor_rows[:, 1 : 1 + n_begin] = by_start
+            sensor_rows[:, 1 + n_begin :] = by_parameters @ slope[parameter_places]
+            sensor_rows *= scale[number]
+            stacked = np.concatenate([np.pad(factor, ((0, 0), (1, 0))), sensor_rows])
             if not axis.sensor.has_bias:
                 stacked = stacked[:, 1:]
             information.append(
@@ -276,8 +277,7 @@ def _information(fit: Fit, arm: Arm, candidates: Sequence[_AddedSensor]) -> list
             )
         return information
 
-    pairs = zip(objective.records, objective.rows(fit.z), strict=True)
-    return run_parallel([partial(one, *pair) for pair in pairs])
+    return objective.map_rows(fit.z, one)
 
 
 def _shared_information(factor: FloatArray, n_first: int) -> FloatArray:

@@ -47,12 +47,17 @@ _MAX_INITIAL_STATE_EVALUATIONS = 12  # maximum evaluations of a search for initi
 MIN_CURVATURE_RATIO = 0.5
 """Minimum curvature of the loss relative to its weights, which is near zero far from a minimum."""
 
+_MAX_CACHED_BYTES = 2**28  # of derivatives; those of seven joints with IMUs have a gigabyte
+
 T = TypeVar("T")
 
 
 @dataclass
 class _EvaluationCache:
-    """Record parameters, and cached evaluations at the last point with the last weights."""
+    """Record parameters, and cached evaluations at the last point with the last weights.
+
+    Large evaluations are cached without derivatives.
+    """
 
     record_parameters: list[FloatArray]
     last: tuple[bytes, list[Evaluation]] | None = None
@@ -102,7 +107,8 @@ class Objective:
             # the biases are the start of the next search
             biases = rows.record_parameters[len(begin) :]
             self.memory.record_parameters[k] = np.concatenate([begin, biases])
-            return rows, Linearised(rows.cost(self.weights[k]), rows.factor(min_curvature_ratio))
+            part = Linearised(rows.cost(self.weights[k]), rows.factor(min_curvature_ratio))
+            return replace(rows, evaluated=self._cached(evaluated)), part
 
         try:
             evaluated_records = self._map_evaluated(z, linearised)
@@ -129,17 +135,42 @@ class Objective:
         return float(plain.cost + np.sum(prior**2) - np.sum(contained**2))
 
     def rows(self, z: FloatArray) -> list[Rows]:
-        """Weighted rows of every record at z, with optimal record parameters."""
+        """Weighted residuals of every record at z, with optimal record parameters.
+
+        Derivatives of large problems are missing; `map_rows` has them.
+        """
         point, cached = z.tobytes(), self.memory.rows
         if cached is not None and cached[0] == point and cached[1] is self.weights:
             return cached[2]
-        rows = self._map_evaluated(z, lambda k, evaluated: evaluated.weigh(self.weights[k]))
+
+        def weighed(k: int, evaluated: Evaluation) -> Rows:
+            rows = evaluated.weigh(self.weights[k])
+            return replace(rows, evaluated=self._cached(evaluated))
+
+        rows = self._map_evaluated(z, weighed, differentiated=False)
         self.memory.rows = point, self.weights, rows
         return rows
 
+    def map_rows(self, z: FloatArray, work: Callable[[int, Rows], T]) -> list[T]:
+        """Apply `work` to number and weighted rows of each record at z, with their derivatives.
+
+        The derivatives of a large problem exist for as long as `work` runs.
+        """
+        return self._map_evaluated(
+            z, lambda k, evaluated: work(k, evaluated.weigh(self.weights[k]))
+        )
+
     def evaluate(self, z: FloatArray) -> list[Evaluation]:
-        """Unweighted residuals and derivatives of every record at z."""
-        return self._map_evaluated(z, lambda _, evaluated: evaluated)
+        """Unweighted residuals of every record at z; derivatives of large problems are missing."""
+        return self._map_evaluated(
+            z, lambda _, evaluated: self._cached(evaluated), differentiated=False
+        )
+
+    def _cached(self, evaluated: Evaluation) -> Evaluation:
+        """An evaluation as it is cached: without derivatives, if those of all records are large."""
+        n_entries = sum(len(r.time) * len(r.channels) for r in self.records)
+        n_bytes = n_entries * len(self.space.unknowns) * evaluated.difference.itemsize
+        return evaluated if n_bytes <= _MAX_CACHED_BYTES else evaluated.without_derivatives()
 
     def update_weights(self, z: FloatArray) -> Objective:
         """Update the weights from the residuals at z."""
@@ -218,7 +249,7 @@ class Objective:
             if not np.isfinite(evaluated.columns).all():
                 raise NumericalFailure("the derivatives overflow in long steps")
             long = replace(long, step_error_correction=residual - evaluated.difference)
-            return long, replace(evaluated, difference=residual)
+            return long, self._cached(replace(evaluated, difference=residual))
 
         try:
             pairs = self._map_records(lengthened)
@@ -271,14 +302,28 @@ class Objective:
             percentages[record.log.name] = dict(zip(names, fits.tolist(), strict=True))
         return percentages
 
-    def _map_evaluated(self, z: FloatArray, work: Callable[[int, Evaluation], T]) -> list[T]:
-        """Apply `work` to the evaluation of every record at z, which is cached."""
+    def _map_evaluated(
+        self,
+        z: FloatArray,
+        work: Callable[[int, Evaluation], T],
+        *,
+        differentiated: bool = True,
+    ) -> list[T]:
+        """Apply `work` to the evaluation of every record at z, which is cached.
+
+        Missing derivatives are computed again if the work requires them to be `differentiated`.
+        """
         point, last = z.tobytes(), self.memory.last
         cached = last[1] if last is not None and last[0] == point else None
 
         def evaluate_and_apply(k: int, record: Dataset) -> tuple[Evaluation, T]:
-            evaluated = cached[k] if cached is not None else self._evaluate_record(k, record, z)
-            return evaluated, work(k, evaluated)
+            if cached is None:
+                evaluated = self._evaluate_record(k, record, z)
+            elif cached[k].is_differentiated or not differentiated:
+                evaluated = cached[k]
+            else:
+                evaluated = self._evaluate_from(record, z, cached[k].record_parameters)
+            return self._cached(evaluated), work(k, evaluated)
 
         if cached is None:  # the old columns need not stay while the new ones are computed
             self.memory.last = self.memory.rows = None
@@ -365,11 +410,10 @@ class Objective:
 
         R has n_unknowns + n_columns + 1 columns.
         """
-        evaluated = self.evaluate(z)
 
-        def factor(k: int, _: Dataset) -> FloatArray:
-            columns = np.concatenate([evaluated[k].columns, columns_of(k, evaluated[k])], axis=2)
-            extended = replace(evaluated[k], columns=columns)
+        def factor(k: int, evaluated: Evaluation) -> FloatArray:
+            columns = np.concatenate([evaluated.columns, columns_of(k, evaluated)], axis=2)
+            extended = replace(evaluated, columns=columns)
             R = extended.weigh(self.weights[k]).factor(MIN_CURVATURE_RATIO)
             missing = np.zeros((len(R), len(self.space.unknowns) + n_columns + 1 - R.shape[1]))
             return np.concatenate([R[:, :-1], missing, R[:, -1:]], axis=1)
@@ -379,7 +423,10 @@ class Objective:
         if prior_rows is not None:
             border[: len(prior_rows)] = prior_rows
         stacked = np.concatenate(
-            [*self._map_records(factor), np.column_stack([prior_columns, border, prior_residual])]
+            [
+                *self._map_evaluated(z, factor),
+                np.column_stack([prior_columns, border, prior_residual]),
+            ]
         )
         return np.asarray(np.linalg.qr(stacked, mode="r"))
 

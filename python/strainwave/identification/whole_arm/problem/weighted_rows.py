@@ -7,7 +7,7 @@ first, so the rows of the triangular factor below them are the problem in the sh
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -42,6 +42,12 @@ class Evaluation:
     biased: tuple[int, ...]  # channels with a bias
     # (n_rows, n_channels) False where rows are zero, because they contain masked samples
     is_counted: BoolArray | None = None
+    is_differentiated: bool = True  # False: the columns are missing
+
+    def without_derivatives(self) -> Evaluation:
+        """The residuals alone."""
+        none = np.empty((*self.difference.shape, 0))
+        return replace(self, columns=none, is_differentiated=False)
 
     @property
     def n_initial(self) -> int:

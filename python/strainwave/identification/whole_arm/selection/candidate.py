@@ -153,17 +153,15 @@ def held_out_scores(fits: Sequence[Fit]) -> FloatArray:
     fits. The parameters without a fold are one Gauss-Newton step from the fit: the least squares
     solution of the factors of the other folds, stacked. Unknowns at a bound stay there.
     """
-    rows = [fit.objective.rows(fit.z) for fit in fits]
+    errors = [[rows.errors for rows in fit.objective.rows(fit.z)] for fit in fits]
     # long integrator steps may end a row earlier
-    n_rows = [min(len(one.residual) for one in of_record) for of_record in zip(*rows, strict=True)]
+    n_rows = [min(map(len, of_record)) for of_record in zip(*errors, strict=True)]
     correlation = [
-        np.max([[estimate_rows_per_error(e) for e in one.errors.T] for one in of_record], axis=0)
-        for of_record in zip(*rows, strict=True)
+        np.max([[estimate_rows_per_error(e) for e in one.T] for one in of_record], axis=0)
+        for of_record in zip(*errors, strict=True)
     ]
     folds = [_folds(n, float(np.max(kappa))) for n, kappa in zip(n_rows, correlation, strict=True)]
-    return np.array(
-        [_scores(fit, own, folds, correlation) for fit, own in zip(fits, rows, strict=True)]
-    )
+    return np.array([_scores(fit, folds, correlation) for fit in fits])
 
 
 def simplest_model(fits: Sequence[Fit]) -> int:
@@ -185,41 +183,44 @@ def _folds(n_rows: int, rows_per_error: float) -> IntArray:
     return np.arange(n_rows) * n_folds // n_rows
 
 
-def _scores(
-    fit: Fit, rows: Sequence[Rows], folds: Sequence[IntArray], correlation: Sequence[FloatArray]
-) -> FloatArray:
+def _scores(fit: Fit, folds: Sequence[IntArray], correlation: Sequence[FloatArray]) -> FloatArray:
     """Log predictive densities of the folds of all records, (n_folds,)."""
-    # derivatives of the residuals in standard deviations
-    columns = [
-        (one.shared_columns / one.root[..., None])[: len(f)]
-        for one, f in zip(rows, folds, strict=True)
-    ]
-    residuals = [one.residual[: len(f)] for one, f in zip(rows, folds, strict=True)]
-    roots = [one.root[: len(f)] for one, f in zip(rows, folds, strict=True)]
-    parts = [
-        (k, fold == number) for k, fold in enumerate(folds) for number in range(int(fold[-1]) + 1)
-    ]
-    factors = []
-    for k, held in parts:
-        weighted = columns[k][held] * roots[k][held][..., None]
-        residual = (residuals[k] * roots[k])[held][..., None]
-        table = np.concatenate([weighted, residual], axis=2)
-        factors.append(triangular_factor(table.reshape(-1, table.shape[2])))
+
+    def fold_factors(k: int, rows: Rows) -> list[FloatArray]:
+        table = np.concatenate(
+            [rows.shared_columns, (rows.residual * rows.root)[..., None]], axis=2
+        )
+        # rows of a fold follow one another
+        parts = np.split(table[: len(folds[k])], np.flatnonzero(np.diff(folds[k])) + 1)
+        return [triangular_factor(part.reshape(-1, part.shape[2])) for part in parts]
+
+    of_records = fit.objective.map_rows(fit.z, fold_factors)
+    factors = [factor for own in of_records for factor in own]
+    first = np.cumsum([0, *map(len, of_records)])  # number of the first fold of each record
     prior = np.column_stack(fit.space.linearise_prior(fit.z))
     free = np.flatnonzero(~(fit.at_bounds | fit.at_zero))
-    predicted = [np.zeros_like(residual) for residual in residuals]
-    for number, (k, held) in enumerate(parts):
+    steps = []
+    for number in range(len(factors)):
         others = np.concatenate([prior, *factors[:number], *factors[number + 1 :]])
-        step = np.linalg.lstsq(others[:, free], -others[:, -1])[0]
-        change = columns[k][held][..., free] @ step
-        predicted[k][held] = (residuals[k][held] + change) * rows[k].stds
-    scores = []
-    for k, held in parts:
-        squares = predicted[k] ** 2
-        held_out, variance = np.mean(squares[held], axis=0), np.mean(squares[~held], axis=0)
-        count, others = np.sum(held) / correlation[k], np.sum(~held) / correlation[k]
-        scores.append(float(np.sum(log_density(held_out, variance, count, others))))
-    return np.array(scores)
+        step = np.zeros(others.shape[1] - 1)
+        step[free] = np.linalg.lstsq(others[:, free], -others[:, -1])[0]
+        steps.append(step)
+
+    def scores(k: int, rows: Rows) -> list[float]:
+        fold, own = folds[k], np.array(steps[first[k] : first[k + 1]])
+        columns = rows.shared_columns[: len(fold)]
+        change = np.stack([columns @ step for step in own], axis=0)[fold, np.arange(len(fold))]
+        predicted = rows.residual[: len(fold)] + change / rows.root[: len(fold)]
+        squares = (predicted * rows.stds) ** 2
+        values = []
+        for number in range(len(own)):
+            held = fold == number
+            held_out, variance = np.mean(squares[held], axis=0), np.mean(squares[~held], axis=0)
+            count, others = np.sum(held) / correlation[k], np.sum(~held) / correlation[k]
+            values.append(float(np.sum(log_density(held_out, variance, count, others))))
+        return values
+
+    return np.concatenate(fit.objective.map_rows(fit.z, scores))
 
 
 def add_settling_times(fit: Fit, selection: Selection) -> Fit:
