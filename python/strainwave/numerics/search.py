@@ -140,6 +140,8 @@ def minimise(
             return Minimum(x, current, evaluations, SearchEnd.EVALUATION_LIMIT)
         limit = partial(space.limit_step, x, share=trusted_share)
         predicted, step = _trusted_step(current.factor, damping, is_free, limit)
+        if stalled and predicted < gain_tolerance:  # limited steps would take hundreds
+            return Minimum(x, current, evaluations, SearchEnd.STALLED)
         trial = space.move(x, step)
         evaluations += 1
         gain_ratio = -np.inf

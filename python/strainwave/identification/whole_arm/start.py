@@ -57,6 +57,9 @@ from strainwave.signals.recorded_input import missing_recorded_input
 # value if that is less
 _SOFTEST, _STIFFNESS_STEP = 1.0 / 9.0, 1.22
 _MAX_ANTI_RESONANCE = 2.0  # times the cutoff; the records do not distinguish stiffer gears
+# above the least cost of a scan; of stiffnesses below it, which differ by the errors of other
+# parameters, the nearest to the start is taken
+_FLAT_COST_SHARE = 0.02
 _REFINEMENT = np.geomspace(1.0 / _STIFFNESS_STEP, _STIFFNESS_STEP, 9).tolist()
 _INFEASIBLE_START = (
     "the arm cannot be simulated with the estimates of the earlier stages. Check the signs, units"
@@ -167,7 +170,7 @@ def _start_search(
     keys = set(restricted.keys)
     kept = [key in keys for key in space.keys]
     fit = Fit.at(Objective.of(restricted, records), start[kept])
-    if fit.objective.linearise(fit.z) is None:
+    if fit.objective.cost(fit.z) is None:
         raise NotIdentifiable(_INFEASIBLE_START)
     return fit, initial[kept]
 
@@ -225,8 +228,11 @@ def _scan_stiffness(start: Fit, joint: int) -> Fit:
     for grid in (_stiffness_ratios(part, start.z, joint), _REFINEMENT):
         ratios = [ratio * one for one in grid]
         scaled = (part.replace_unknowns(_scale_stiffness(part.space, joint, r)) for r in ratios)
-        costs = [each.cost(start.z) for each in scaled]
-        ratio = ratios[int(np.argmin([np.inf if cost is None else cost for cost in costs]))]
+        found = ((each.cost(start.z), one) for each, one in zip(scaled, ratios, strict=True))
+        costs = {one: cost for cost, one in found if cost is not None}
+        limit = (1.0 + _FLAT_COST_SHARE) * min(costs.values(), default=np.inf)
+        lowest = (one for one, cost in costs.items() if cost <= limit)
+        ratio = min(lowest, key=lambda one: abs(np.log(one / ratio)), default=ratio)
     return start.restart(
         start.objective.replace_unknowns(_scale_stiffness(start.space, joint, ratio)), start.z
     )
