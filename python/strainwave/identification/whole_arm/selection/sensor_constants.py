@@ -165,8 +165,9 @@ def _with_significant_constants(
     fit: Fit, selection: Selection, min_cost_share: float = 0.0
 ) -> Fit | None:
     """The fit with the constants that reduce the cost significantly, and by a share of it."""
-    estimates = _significant_constants(fit, selection.options, min_cost_share * fit.cost)
-    estimates |= _significant_drifts(fit, selection.options)
+    min_gain = min_cost_share * fit.cost
+    estimates = _significant_constants(fit, selection.options, min_gain)
+    estimates |= _significant_drifts(fit, selection.options, min_gain)
     space = update_prior_trust(add_sensor_constants(fit.space, list(estimates)), selection.arm)
     return fit.with_unknowns(space, estimates) if estimates else None
 
@@ -182,6 +183,7 @@ add_fine_sensor_constants = Candidate(_with_significant_constants, refine, is_re
 def _without_least_significant(fit: Fit, selection: Selection) -> Fit | None:
     """The fit without its least significant sensor constant; None if all are significant.
 
+    Insignificant drifts, each of a record of its own, are removed together.
     A constant at a bound of its range stays, because its standard deviation is invalid there. A
     bandwidth is tested in any case.
     """
@@ -213,8 +215,9 @@ def _without_least_significant(fit: Fit, selection: Selection) -> Fit | None:
     weak -= {k for k in inseparable if not (is_kind(k, ConstantKind.BANDWIDTH) and k in unlimited)}
     if not weak:
         return None
-    weakest = min(weak, key=distances.__getitem__)
-    reduced = space.fix_values({weakest: ideal[weakest]})
+    drifts = {key for key in weak if is_kind(key, ConstantKind.DRIFT)}
+    removed = drifts or {min(weak, key=distances.__getitem__)}
+    reduced = space.fix_values({key: ideal[key] for key in removed})
     return fit.with_unknowns(update_prior_trust(reduced, selection.arm))
 
 
@@ -291,16 +294,18 @@ def _min_significance(key: Key) -> float:
     return _MIN_HOLD_SIGNIFICANCE if is_kind(key, ConstantKind.HOLD) else _MIN_SIGNIFICANCE
 
 
-def _significant_drifts(fit: Fit, options: WholeArmOptions) -> dict[Key, float]:
-    """Significant drifts of sensor biases and their rates.
+def _significant_drifts(fit: Fit, options: WholeArmOptions, min_gain: float) -> dict[Key, float]:
+    """Significant drifts of sensor biases and their rates; none if they gain less than `min_gain`.
 
     The weights of the fit count a drift as correlated errors. The standard deviation of a rate
     therefore follows from the residuals minus the drift.
     """
-    objective, rates = fit.objective, {}
-    for record, rows in zip(objective.records, objective.rows(fit.z), strict=True):
+    objective, rates, gain = fit.objective, {}, 0.0
+    each = zip(objective.records, objective.rows(fit.z), objective.weights, strict=True)
+    for record, rows, weights in each:
         time = record.since_middle
-        for channel, residual in zip(record.channels, rows.errors.T, strict=True):
+        sizes = weights.stds**2 * weights.rows_per_error
+        for channel, residual, size in zip(record.channels, rows.errors.T, sizes, strict=True):
             key = channel.key(ConstantKind.DRIFT, record.log.name)
             if key is None or not channel.sensor.has_bias or key in objective.space.keys:
                 continue
@@ -313,7 +318,8 @@ def _significant_drifts(fit: Fit, options: WholeArmOptions) -> dict[Key, float]:
                 _MIN_SIGNIFICANCE * std, _MIN_DRIFT_RATIO * np.std(remaining) / np.max(time)
             ):
                 rates[key] = rate
-    return rates
+                gain += float(rate**2 * (time @ time) / size)
+    return rates if gain >= min_gain else {}
 
 
 def _is_collinear_with_tilt(key: Key, fit: Fit) -> bool:
