@@ -12,6 +12,8 @@ from scipy.signal import lfilter
 
 from strainwave.domain import FloatArray
 from strainwave.dynamics.arm import Arm
+from strainwave.identification.whole_arm.inference.covariance import confidence_at
+from strainwave.identification.whole_arm.problem import objective as objective_module
 from strainwave.identification.whole_arm.problem.objective import BLOCKS_PER_RECORD, Objective
 from strainwave.identification.whole_arm.problem.parameter_space import ParameterSpace, Prior
 from strainwave.identification.whole_arm.problem.starting_values import (
@@ -22,6 +24,8 @@ from strainwave.identification.whole_arm.problem.starting_values import (
 from strainwave.identification.whole_arm.problem.weighted_rows import Rows, Weights
 from strainwave.identification.whole_arm.records.dataset import Dataset
 from strainwave.identification.whole_arm.records.preparation import dataset_of
+from strainwave.identification.whole_arm.search import Fit
+from strainwave.identification.whole_arm.selection.candidate import held_out_scores
 from tuning_runs import (
     beginning,
     joint_models,
@@ -114,6 +118,34 @@ def test_the_gradient_is_that_of_the_cost(spring: str) -> None:
         difference = (cost_of(objective, z + step) - cost_of(objective, z - step)) / (2.0 * step[k])
         tolerance = 0.02 * abs(gradient[k]) + 0.02 * length
         assert abs(difference - gradient[k]) < tolerance, objective.space.unknowns[k]
+
+
+@pytest.mark.parametrize("spring", ["linear", "three-slope"])
+def test_derivatives_that_are_not_kept_are_computed_again(
+    spring: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    kept, z = near_truth(spring)
+    dropped, _ = near_truth(spring)
+
+    def results_of(objective: Objective) -> list[FloatArray]:
+        fit = Fit.at(objective, z)
+        factor = factor_of(objective, z)
+        columns = objective.map_rows(z, lambda _, rows: rows.shared_columns)
+        errors = [rows.errors for rows in objective.rows(z)]
+        return [
+            factor.T @ factor,
+            *columns,
+            *errors,
+            confidence_at(objective, z).combined,
+            held_out_scores([fit]),
+        ]
+
+    expected = results_of(kept)
+    monkeypatch.setattr(objective_module, "_MAX_CACHED_BYTES", 0)
+    results = results_of(dropped)
+    assert not any(rows.evaluated.is_differentiated for rows in dropped.rows(z))
+    for result, one in zip(results, expected, strict=True):
+        np.testing.assert_allclose(result, one, rtol=1e-9, atol=1e-9 * np.max(np.abs(one)))
 
 
 @pytest.mark.parametrize("spring", ["linear", "three-slope"])

@@ -19,6 +19,7 @@ from strainwave.errors import InvalidInput
 from strainwave.identification.whole_arm.records.dataset import INITIAL_STATES, low_pass_kernels
 from strainwave.identification.whole_arm.records.preparation import (
     dataset_of,
+    resolutions_of,
     select_usable_records,
 )
 from tuning_runs import beginning, later, rig_logs, shaken, simulated, truth
@@ -390,3 +391,20 @@ def test_usable_records() -> None:
         replace(log, experiment=replace(log.experiment, use="motion")) for log in shakes
     ]
     assert select_usable_records(motion_records, Arm.of(study.arm)) == []
+
+
+def test_a_silent_sensor_has_the_resolution_of_its_other_records() -> None:
+    study, _, (first, second) = shaken()
+    step = 0.25
+    rounded = replace(
+        first, channels=first.channels | {"a1": step * np.round(first.channels["a1"] / step)}
+    )
+    silent = replace(second, channels=second.channels | {"a1": np.full(len(second), step)})
+    resolutions = resolutions_of([rounded, silent])
+    assert resolutions["a1"] == pytest.approx(step)
+    arm = Arm.of(study.arm)
+    alone, known = (dataset_of(silent, arm, CUTOFF, resolutions=one) for one in (None, resolutions))
+    at = known.channel_names.index("a1")
+    gain = np.linalg.norm(known.kernels.taps(slope=False))
+    assert alone.noise[at] < 1e-9
+    assert known.noise[at] == pytest.approx(step / np.sqrt(12.0) * gain)
