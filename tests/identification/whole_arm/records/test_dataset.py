@@ -397,9 +397,9 @@ def test_a_silent_sensor_has_the_resolution_of_its_other_records() -> None:
     study, _, (first, second) = shaken()
     step = 0.25
     rounded = replace(
-        first, channels=first.channels | {"a1": step * np.round(first.channels["a1"] / step)}
+        first, channels={**first.channels, "a1": step * np.round(first.channels["a1"] / step)}
     )
-    silent = replace(second, channels=second.channels | {"a1": np.full(len(second), step)})
+    silent = replace(second, channels={**second.channels, "a1": np.full(len(second), step)})
     resolutions = resolutions_of([rounded, silent])
     assert resolutions["a1"] == pytest.approx(step)
     arm = Arm.of(study.arm)
