@@ -300,10 +300,16 @@ class Arm(ArmDescription):
 
         Column k is the torque of a unit acceleration of joint k minus gravity.
         """
-        unit = np.eye(self.n_joints)
-        posture, rest = np.tile(angle, (self.n_joints, 1)), np.zeros_like(unit)
+        return self._inertia_matrices(base, angle[None])[0]
+
+    def _inertia_matrices(self, base: FloatArray, angles: FloatArray) -> FloatArray:
+        """M(q) at several link angles (n_postures, n_joints): (n_postures, n_joints, n_joints)."""
+        n = self.n_joints
+        posture, unit = np.repeat(angles, n, axis=0), np.tile(np.eye(n), (len(angles), 1))
+        rest = np.zeros_like(posture)
         torque = self.link_torques(base, posture, rest, unit)
-        return np.asarray(torque - self.link_torques(base, posture, rest, rest)).T
+        torque -= self.link_torques(base, posture, rest, rest)
+        return np.asarray(torque.reshape(len(angles), n, n).swapaxes(1, 2))
 
     def torques_of_accelerations(
         self, base: FloatArray, angle: FloatArray, acceleration: FloatArray
@@ -366,16 +372,13 @@ class Arm(ArmDescription):
         M contains the links, folded or stretched, and the motors, seen from the links. Zero if the
         values do not determine the frequency.
         """
-        folded = np.full(self.n_joints, np.pi)
-        folded[0] = 0.0
-        fastest = 0.0
-        for angle in (folded, np.zeros(self.n_joints)):
-            gears = self._gear_equations(values, angle)
-            if gears is None:
-                return 0.0
-            squared = np.linalg.eigvals(np.linalg.solve(gears.inertia, gears.stiffness)).real
-            fastest = max(fastest, float(np.sqrt(squared.max(initial=0.0)) / (2.0 * np.pi)))
-        return fastest
+        postures = np.zeros((2, self.n_joints))
+        postures[0, 1:] = np.pi
+        gears = self._gear_equations(values, postures)
+        if gears is None:
+            return 0.0
+        squared = np.linalg.eigvals(np.linalg.solve(gears.inertia, gears.stiffness)).real
+        return float(np.sqrt(squared.max(initial=0.0)) / (2.0 * np.pi))
 
     def stable_time_step(self, values: Values, angles: FloatArray) -> float:
         """Longest time step [s] for which the integrator is stable at the link angles.
@@ -383,20 +386,19 @@ class Arm(ArmDescription):
         `angles` (n_postures, n_joints) [rad]. Infinite if the values do not determine it, or if no
         gear is elastic.
         """
-        fastest = 0.0
-        for angle in angles:
-            gears = self._gear_equations(values, angle)
-            if gears is None:
-                return np.inf
-            n = len(gears.inertia)
-            of_motion = np.hstack([gears.stiffness, gears.damping])
-            rates = np.vstack([np.eye(n, 2 * n, n), -np.linalg.solve(gears.inertia, of_motion)])
-            poles = np.linalg.eigvals(rates)
-            fastest = max(fastest, float(np.abs(poles).max(initial=0.0)))
+        gears = self._gear_equations(values, angles)
+        if gears is None:
+            return np.inf
+        n = len(gears.stiffness)
+        rates = np.zeros((len(angles), 2 * n, 2 * n))
+        rates[:, :n, n:] = np.eye(n)
+        of_motion = np.hstack([gears.stiffness, gears.damping])
+        rates[:, n:] = -np.linalg.solve(gears.inertia, of_motion)
+        fastest = float(np.abs(np.linalg.eigvals(rates)).max(initial=0.0))
         return _STABLE_STEP / fastest if fastest else np.inf
 
-    def _gear_equations(self, values: Values, angle: FloatArray) -> _GearEquations | None:
-        """Equations of small motions about an angle; None if the values do not determine them.
+    def _gear_equations(self, values: Values, angles: FloatArray) -> _GearEquations | None:
+        """Equations of small motions about link angles; None if the values do not determine them.
 
         Coordinates are the links and the outputs of elastic gears. Rigid gears connect motors to
         links.
@@ -418,23 +420,22 @@ class Arm(ArmDescription):
         except KeyError:
             return None
         outputs = np.eye(n)[:, elastic]
-        links = self.inertia_matrix(np.array(base), angle)
         of_motors = by_links @ motors @ by_links.T
         # torsion and output of each gear over links and outputs of elastic gears
         torsion = np.hstack([-np.diag(elastic.astype(float)), outputs])
         output = np.hstack([np.diag((~elastic).astype(float)), outputs])
-        inertia = output.T @ of_motors @ output
-        inertia[:n, :n] += links
-        if np.linalg.eigvalsh(inertia)[0] <= 0.0:
+        inertia = np.tile(output.T @ of_motors @ output, (len(angles), 1, 1))
+        inertia[:, :n, :n] += self._inertia_matrices(np.array(base), angles)
+        if (np.linalg.eigvalsh(inertia) <= 0.0).any():
             return None  # an impossible arm: the core reports the fault
         of_gears = ((torsion.T * k) @ torsion for k in (stiffness, damping))
         return _GearEquations(inertia, *of_gears)
 
 
 class _GearEquations(NamedTuple):
-    """Matrices of M q'' + D q' + K q = 0."""
+    """Matrices of M q'' + D q' + K q = 0, (n, n)."""
 
-    inertia: FloatArray
+    inertia: FloatArray  # (n_postures, n, n)
     stiffness: FloatArray
     damping: FloatArray
 

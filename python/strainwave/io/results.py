@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from functools import cache
@@ -73,7 +72,6 @@ NOT_A_RESULT = "give a result.json that strainwave identify has written"
 """Remedy for a file that is not a result."""
 FILE_NAME = "result.json"
 
-_NUMBERS = re.compile(r'\[\n\s*([^][{}"]+?)\n\s*\]')  # JSON strings contain no line ends
 _BAND_FACTOR = 3.0  # responses are published this far beyond the band of a joint's fit
 _MAX_RESPONSE_LINES = 500  # frequencies of one published response
 _INPUTS = ("motor_torque", "interaction_torque")
@@ -136,9 +134,24 @@ def _plain(entry: BaseModel, without: Iterable[str] = ()) -> dict[str, Any]:
 
 def to_json(document: Mapping[str, Any]) -> bytes:
     """A result document as UTF-8 text; lists of numbers take one line each."""
-    text = json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False)
-    text = _NUMBERS.sub(lambda numbers: f"[{' '.join(numbers[1].split())}]", text)
-    return f"{text}\n".encode()
+    return f"{_indented(document)}\n".encode()
+
+
+def _indented(value: Any, line: str = "\n") -> str:
+    """JSON text of a value; `line` is a line end with the indentation of the value."""
+    inner = f"{line}  "
+    if isinstance(value, Mapping) and value:
+        entries = [
+            f"{_compact(str(name))}: {_indented(each, inner)}" for name, each in value.items()
+        ]
+        return f"{{{inner}{f',{inner}'.join(entries)}{line}}}"
+    if isinstance(value, list | tuple) and any(isinstance(each, _NESTED) for each in value):
+        return f"[{inner}{f',{inner}'.join(_indented(each, inner) for each in value)}{line}]"
+    return _compact(value)
+
+
+_compact = json.JSONEncoder(ensure_ascii=False, allow_nan=False).encode  # all in C
+_NESTED = (str, list, tuple, Mapping)  # lists of these take one line for each entry
 
 
 def read_document(path: Path) -> dict[str, Any]:

@@ -130,10 +130,10 @@ def read_start(start: Path | Mapping[Key, float] | None, study: Study) -> Values
     Other values of a result.json, such as combinations and sensor constants, are left out. Raises
     InvalidInput if none of the values is a parameter of the arm.
     """
-    from strainwave.io.parameters import read_parameters
-
     if start is None:
         return {}
+    from strainwave.io.parameters import read_parameters
+
     values = read_parameters(start) if isinstance(start, Path) else dict(start)
     arm = study.arm.with_selected_laws(values.keys())
     given = complete_values(values, arm)

@@ -1,4 +1,4 @@
-"""Closed-form distributions against SciPy."""
+"""Distributions against SciPy."""
 
 import numpy as np
 import pytest
@@ -48,11 +48,16 @@ def test_factors_of_intervals() -> None:
     assert pytest.approx(1.0 / stdtrit(normal, 0.75), abs=5e-5) == STD_PER_MEDIAN
 
 
-@pytest.mark.parametrize("degrees", [1.0, 3.5, 40.0])
-@pytest.mark.parametrize("value", [-2.0, 0.0, 0.7, 30.0])
+@pytest.mark.parametrize("degrees", [0.3, 1.0, 2.0, 3.5, 40.0, 1e5])
+@pytest.mark.parametrize("value", [-2.0, 0.0, 0.7, 30.0, np.inf])
 def test_distributions_of_real_degrees(value: float, degrees: float) -> None:
     assert student_tail(value, degrees) == pytest.approx(2.0 * stats.t.sf(abs(value), degrees))
     assert student_tail(value, np.inf) == pytest.approx(2.0 * stats.norm.sf(abs(value)))
     assert f_tail(value**2, 3.0, degrees) == pytest.approx(stats.f.sf(value**2, 3.0, degrees))
+    assert np.isnan(student_tail(np.nan, degrees))
+
+
+@pytest.mark.parametrize("degrees", [1.0, 3.5, 40.0])
+def test_degrees_of_a_quantile(degrees: float) -> None:
     quantile = float(stats.t.ppf(0.975, degrees))
     assert student_degrees(quantile) == pytest.approx(degrees, rel=1e-6)
