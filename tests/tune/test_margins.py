@@ -128,6 +128,20 @@ def test_sampled_responses_are_those_of_the_exact_discretisation(
     assert (np.abs(responses - exact)[..., 0, 1] / size).max() < 1e-5
 
 
+@pytest.mark.parametrize("friction", [1.0, 1e-9, 0.0])
+def test_responses_are_those_of_the_equations_of_motion(plants: Plants, friction: float) -> None:
+    """Without friction, the rigid motion of an arm without gravity has two equal poles."""
+    arms = replace(plants, damping=friction * plants.damping)
+    omega = np.geomspace(0.3, 3e3, 50)
+    s = 1j * omega[:, None, None]
+    system = s**2 * arms.mass[:, None] + s * arms.damping[:, None] + arms.stiffness[:, None]
+    drive = arms.torque_per_volt / (1.0 + 1j * omega[:, None] / arms.current_loop)
+    expected = arms.motors @ np.linalg.inv(system) @ arms.motors.T * drive[:, None]
+    size = np.abs(expected).max(axis=(2, 3), keepdims=True)
+    # the accuracy of the sums over poles, and of the inverse between rigid motion and resonances
+    np.testing.assert_array_less(np.abs(arms.responses(omega) - expected) / size, 1e-8)
+
+
 @pytest.mark.parametrize("joint", [0, 1])
 def test_an_effective_plant_has_the_other_loop_closed(plants: Plants, joint: int) -> None:
     """y / w = G P / (1 + C P) of the complete closed loop, with C = G (K + d), d the difference."""
@@ -136,7 +150,7 @@ def test_an_effective_plant_has_the_other_loop_closed(plants: Plants, joint: int
     z = np.exp(1j * omega * clock.period)
     sampled = sample(plants, clock)
     controllers = np.stack([gains.response(z) for gains in GAINS], axis=1)
-    plant = effective_plants(exact_responses(sampled, z), controllers, joint)
+    plant = effective_plants(exact_responses(sampled, z), controllers)[..., joint]
     own = GAINS[joint]
     of_velocity = own.kp + own.ki * clock.period / (1.0 - 1.0 / z)
     expected = of_velocity * plant / (1.0 + controllers[:, joint] * plant)

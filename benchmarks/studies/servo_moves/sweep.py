@@ -48,7 +48,7 @@ def sweep(tuned: Tuned) -> Iterator[Loop]:
         middle = posture.copy()  # of the used part of the record
         middle[i] += tuned.arm.gear_ratios[i] * _SPEED * (0.75 * _SECONDS - 0.1)
         plants = plants_of(design.arm, [design.arm.values], [Condition(middle)])
-        each = effective_plants(sampled_responses(plants, omega, design.clock), closed, i)
+        each = effective_plants(sampled_responses(plants, omega, design.clock), closed)[..., i]
         for name, plant in (("lowest", each[0]), ("highest", each[-1])):
             yield Loop(i + 1, f"predicted, {name} slope", omega, plant * closed[:, i])
         yield Loop(i + 1, "measured", omega, _measured(tuned, i, hz, used))

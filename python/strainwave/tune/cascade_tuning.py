@@ -56,7 +56,7 @@ _MAX_OVERSHOOT = 0.05  # of the link after a step of the position
 _N_SEARCH_DRAWS = 8
 _N_SWEEPS = 2  # over the joints; a third changes gains by less than a step
 _MAX_ADDED = 12  # rounds in which the worst plants join the search
-_POINTS = 100_000  # plants times frequencies that one thread judges at a time: 0.1 GB
+_ENTRIES = 200_000  # of responses that one thread judges at a time: 20 MB
 
 FilterMaker = Callable[[float], tuple[Biquad, ...]]
 """Filters of a loop by its bandwidth [rad/s]."""
@@ -99,15 +99,16 @@ class Loops:
         `controllers` are those of the method of that name.
         """
         plants = np.arange(len(self.plants)) if chosen is None else chosen
-        n_parts = -(-len(plants) * len(self.omega) // _POINTS)
+        n_entries = len(plants) * len(self.omega) * self.plants.n_joints**2
+        n_parts = -(-n_entries // _ENTRIES)
 
         def judge_part(part: IntArray) -> list[tuple[Margins, LoopBand]]:
             responses = self.responses(np.append(0, part))  # bands begin with the estimates
-            pairs = []
-            for i in range(self.plants.n_joints):
-                loop = effective_plants(responses, controllers, i) * controllers[:, i]
-                pairs.append((margins_of(loop[1:], self.omega), LoopBand.of(loop, self.omega)))
-            return pairs
+            loops = np.moveaxis(effective_plants(responses, controllers) * controllers, 2, 0)
+            return [
+                (margins_of(each[1:], self.omega), LoopBand.of(each, self.omega))
+                for each in np.ascontiguousarray(loops)
+            ]
 
         parts = run_parallel([partial(judge_part, p) for p in np.array_split(plants, n_parts)])
         margins_and_bands = (zip(*pairs, strict=True) for pairs in zip(*parts, strict=True))
@@ -192,7 +193,7 @@ class _Tuner:
     def raise_gains(self, gains: Sequence[Gains], search: IntArray) -> Gains:
         """The largest gains at which the searched plants keep their margins."""
         loops, joint = self.loops, self.joint
-        plant = effective_plants(loops.responses(search), loops.controllers(gains), joint)
+        plant = effective_plants(loops.responses(search), loops.controllers(gains))[..., joint]
         sampled = sample(loops.plants, loops.clock, search)
         laws = [each.law() for each in gains]
 

@@ -198,23 +198,32 @@ def sample(plants: Plants, clock: Clock, chosen: IntArray | slice = slice(None))
     States are coordinates, their velocities, torques behind current loops, and the voltages of the
     last reading if there is a delay of at most one period.
     """
-    mass, damping, stiffness = plants.mass[chosen], plants.damping[chosen], plants.stiffness[chosen]
-    count, size, n = len(mass), mass.shape[1], plants.n_joints
-    inputs = np.broadcast_to(plants.motors.T, (count, size, n))
-    response = np.linalg.solve(mass, np.concatenate([-stiffness, -damping, inputs], axis=2))
+    used = plants.part(chosen)
+    places = np.array_split(np.arange(len(used)), -(-len(used) // _PART))
+    parts = run_parallel([partial(_discretised, used.part(place), clock) for place in places])
+    A, B = (np.concatenate(each) for each in zip(*parts, strict=True))
+    motors, links = (
+        np.pad(rows, ((0, 0), (0, A.shape[1] - rows.shape[1])))
+        for rows in (plants.motors, plants.links)
+    )
+    return SampledPlants(A, B, motors, links, np.diagonal(plants.links @ plants.rigid))
+
+
+def _discretised(plants: Plants, clock: Clock) -> tuple[FloatArray, FloatArray]:
+    """A and B of `SampledPlants`."""
+    of_motion, of_torque = plants.equations()
+    count, size, n = len(plants), of_motion.shape[1], plants.n_joints
     lags = np.flatnonzero(np.isfinite(plants.current_loop))
-    n_states = 2 * size + len(lags)
+    n_states = size + len(lags)
     system = np.zeros((count, n_states + n, n_states + n))
-    system[:, :size, size : 2 * size] = np.eye(size)
-    system[:, size : 2 * size, : 2 * size] = response[:, :, : 2 * size]
-    of_torque = response[:, :, 2 * size :]
-    system[:, size : 2 * size, n_states:] = of_torque * plants.torque_per_volt
+    system[:, :size, :size] = of_motion
+    system[:, :size, n_states:] = of_torque * plants.torque_per_volt
     for k, joint in enumerate(lags):
         rate = plants.current_loop[joint]
-        system[:, size : 2 * size, 2 * size + k] = of_torque[:, :, joint]
-        system[:, size : 2 * size, n_states + joint] = 0.0
-        system[:, 2 * size + k, 2 * size + k] = -rate
-        system[:, 2 * size + k, n_states + joint] = rate * plants.torque_per_volt[joint]
+        system[:, :size, size + k] = of_torque[:, :, joint]
+        system[:, :size, n_states + joint] = 0.0
+        system[:, size + k, size + k] = -rate
+        system[:, size + k, n_states + joint] = rate * plants.torque_per_volt[joint]
     after = expm(system * (clock.period - clock.delay))
     A, B = after[:, :n_states, :n_states], after[:, :n_states, n_states:]
     if clock.delay:
@@ -224,11 +233,7 @@ def sample(plants: Plants, clock: Clock, chosen: IntArray | slice = slice(None))
         units = np.broadcast_to(np.eye(n), (count, n, n))
         A = np.concatenate([A @ before[:, :n_states, :n_states], old], axis=2)
         A, B = np.concatenate([A, below], axis=1), np.concatenate([B, units], axis=1)
-    motors, links = (
-        np.pad(rows, ((0, 0), (0, A.shape[1] - size))) for rows in (plants.motors, plants.links)
-    )
-    ratios = np.diagonal(plants.links @ plants.rigid)
-    return SampledPlants(A, B, motors, links, ratios)
+    return A, B
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -109,21 +109,19 @@ def _crossings(values: FloatArray) -> tuple[BoolArray, FloatArray]:
     return values[:, :-1] * values[:, 1:] <= 0.0, share
 
 
-def effective_plants(plants: ComplexArray, controllers: ComplexArray, joint: int) -> ComplexArray:
-    """Response of one motor to its own voltage while the other joints' loops are closed.
+def effective_plants(plants: ComplexArray, controllers: ComplexArray) -> ComplexArray:
+    """Responses of each motor to its own voltage while the other joints' loops are closed.
 
     `plants` (n_plants, n_omega, n_joints, n_joints) are responses of motor angles to voltages,
-    `controllers` (n_omega, n_joints) those of voltages to motor angles, without sign. `joint`
-    counts from 0. Returns (n_plants, n_omega).
+    `controllers` (n_omega, n_joints) those of voltages to motor angles, without sign. Returns
+    (n_plants, n_omega, n_joints).
     """
-    others: IntArray = np.delete(np.arange(plants.shape[-1]), joint)
-    # u_o = -C_o y_o: y_o = (1 + P_oo C_o)^-1 P_oi u_i
-    closed = (
-        np.eye(len(others)) + plants[..., others[:, None], others] * controllers[:, None, others]
+    # with all loops closed, y = T u with T = (1 + P C)^-1 P; opening a loop removes T_ii C_i
+    all_closed = np.linalg.solve(
+        np.eye(plants.shape[-1]) + plants * controllers[:, None, :], plants
     )
-    caused = np.linalg.solve(closed, plants[..., others, joint][..., None])[..., 0]
-    back = plants[..., joint, others] * controllers[:, others]
-    return np.asarray(plants[..., joint, joint] - (back * caused).sum(axis=-1))
+    own = np.diagonal(all_closed, axis1=2, axis2=3)
+    return np.asarray(own / (1.0 - own * controllers))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -54,12 +54,13 @@ class ZerosAndMaxima:
     @staticmethod
     def of(unknowns: FloatArray, n_zeros: int) -> ZerosAndMaxima:
         """The inverse of `unknowns`."""
-        amplitudes, times, others = np.split(unknowns, [n_zeros, 2 * n_zeros])
-        return ZerosAndMaxima(
-            np.concatenate([[1.0 - amplitudes.sum()], amplitudes]),
-            np.concatenate([[0.0], times]),
-            np.insert(others, n_zeros - 1, 1.0),
-        )
+        amplitudes, times = np.zeros((2, n_zeros + 1))
+        amplitudes[1:], times[1:] = unknowns[:n_zeros], unknowns[n_zeros : 2 * n_zeros]
+        amplitudes[0] = 1.0 - amplitudes.sum()
+        omega = np.ones(2 * n_zeros - 1)
+        omega[: n_zeros - 1] = unknowns[2 * n_zeros : 3 * n_zeros - 1]
+        omega[n_zeros:] = unknowns[3 * n_zeros - 1 :]
+        return ZerosAndMaxima(amplitudes, times, omega)
 
     def equations(self, damping: float, tolerance: float) -> FloatArray:
         """Zero where the zeros and the maxima of the tolerated height are those of a mode."""
