@@ -7,7 +7,7 @@
 //! columns are applied to other columns as one product I - V T' V' (Schreiber and Van Loan, SIAM
 //! Journal on Scientific and Statistical Computing 10, 1989).
 
-use crate::products::multiply_add;
+use crate::products::{BASELINE_IS_FUSED, multiply_add};
 
 /// Columns of a panel.
 const PANEL: usize = 8;
@@ -110,7 +110,7 @@ impl TriangularFactor {
             // SAFETY: both features have just been detected.
             return unsafe { self.reduce_avx2() };
         }
-        self.reduce_with::<false>();
+        self.reduce_with::<BASELINE_IS_FUSED>();
     }
 
     #[cfg(target_arch = "x86_64")]
