@@ -75,12 +75,19 @@ def _passed(signal: FloatArray, relative: float, decimated: int) -> FloatArray:
     n = len(signal)
     pad = min(n - 1, int(4.0 / (relative * decimated)))
     extended = _point_reflected(signal, pad)
-    size = fast_length(len(extended))
+    gain = _gain(fast_length(len(extended)), relative, decimated)
+    # the filter does not change a straight line
+    return _filter_about_line(extended, gain, slice(pad, pad + n))[0]
+
+
+@lru_cache(maxsize=8)
+def _gain(size: int, relative: float, decimated: int) -> FloatArray:
+    """Gain of the low-pass, (size / 2 + 1,); iterations repeat the same filters."""
     warped = np.tan(np.pi / decimated * np.fft.rfftfreq(size)[:-1]) / np.tan(np.pi * relative)
     gain = np.zeros(size // 2 + 1)  # zero at the Nyquist frequency
     gain[:-1] = 1.0 / (1.0 + _eighth_power(warped))
-    # the filter does not change a straight line
-    return _filter_about_line(extended, gain, slice(pad, pad + n))[0]
+    gain.setflags(write=False)
+    return gain
 
 
 def _filter_about_line(

@@ -74,6 +74,19 @@ class BaseParameters:
         `motor_share` is the share of all motors, or of each one, (n_joints,), in base parameters
         that contain inertias of a motor and of links. The torques do not depend on it.
         """
+        if isinstance(motor_share, np.ndarray):
+            return self._particular_of(motor_share)
+        if motor_share not in self._by_share:
+            self._by_share[motor_share] = self._particular_of(motor_share)
+            self._by_share[motor_share].setflags(write=False)
+        return self._by_share[motor_share]
+
+    @cached_property
+    def _by_share(self) -> dict[float, FloatArray]:
+        """Results of `particular`, for which every iteration asks."""
+        return {}
+
+    def _particular_of(self, motor_share: float | FloatArray) -> FloatArray:
         shares = np.broadcast_to(motor_share, self.rows.shape[1] - len(self.links))
         leading = np.zeros(self.rows.T.shape)
         for k, at in enumerate(self.independent):

@@ -315,11 +315,7 @@ def blocks_of(stretches: Sequence[FilteredRecord]) -> list[int]:
 
 def slides_both_ways(stretches: Sequence[FilteredRecord]) -> BoolArray:
     """Joints, (n_joints,), that slide in both directions in any of the records."""
-    forward, backward = (
-        np.any([np.any(sign * s.signals.direction > 0.0, axis=0) for s in stretches], axis=0)
-        for sign in (1.0, -1.0)
-    )
-    return np.asarray(forward & backward)
+    return np.asarray(np.all(np.any([s.slides for s in stretches], axis=0), axis=0))
 
 
 def estimate_of(

@@ -63,12 +63,8 @@ class FilteredRecord:
     free: tuple[Banded, ...]  # per joint (n_rows, n_free), filtered shape functions
     noise: FloatArray  # (n_parameters,) standard deviation of the noise of each column
     period: float  # [samples] of the motion; the whole record if it does not repeat
-
-    @property
-    def sliding_time(self) -> float:
-        """Mean time [s] over the joints in which they slide, in one period of the motion."""
-        duration = self.period * self.signals.sample_time
-        return duration * float(np.mean(self.signals.direction != 0.0))
+    sliding_time: float  # [s] in one period of the motion, the mean of the joints
+    slides: BoolArray  # (2, n_joints) whether they slide forward, and backward
 
     def blocks(self, count: int) -> IntArray:
         """Block number of each row, (n_rows,): one of `count` equal parts of the period."""
@@ -203,6 +199,8 @@ def prepare(arm: Arm, signals: Signals, bandwidth_hz: float, period: float) -> F
         free=tuple(free),
         noise=_column_noise(arm, signals, bandwidth_hz),
         period=period,
+        sliding_time=period * T * float(np.mean(signals.direction != 0.0)),
+        slides=np.array([np.any(sign * signals.direction > 0.0, axis=0) for sign in (1.0, -1.0)]),
     )
     if elastic:
         return stretch
