@@ -212,8 +212,7 @@ def restrict_steps(
         return matrices
     T = balancing(matrices)
     # the entries in other coordinates are linear in the entries, so unit vectors give the Jacobian
-    units = map(evaluator.unpack, np.eye(len(covariance)))
-    change = np.stack([unit.transformed(T).pack() for unit in units], axis=1)
+    change = evaluator.unpack(np.eye(len(covariance))).transformed(T).pack().T
     start, transformed_covariance = matrices.transformed(T), change @ covariance @ change.T
     values, slope = start.pack(), _gradient(evaluator, start, transformed_covariance)
     step = -transformed_covariance @ slope

@@ -156,7 +156,7 @@ def _check_same(record: InputOutput, first: InputOutput, where: str) -> None:
 
 @dataclass(frozen=True, slots=True)
 class ModelMatrices:
-    """State-space matrices A, B, C, D, K and the initial state of each record."""
+    """State-space matrices A, B, C, D, K and the initial state of each record; stacks of them."""
 
     A: FloatArray
     B: FloatArray
@@ -167,12 +167,14 @@ class ModelMatrices:
 
     @property
     def order(self) -> int:
-        return len(self.A)
+        return self.A.shape[-1]
 
     def pack(self) -> FloatArray:
         """Entries in the layout of the core: A, B, C, D, K by rows, then the initial states."""
         parts = (self.A, self.B, self.C, self.D, self.K, self.initial_states)
-        return np.concatenate([np.ravel(part) for part in parts])
+        stacked = self.A.shape[:-2]
+        entries = [part.reshape(*stacked, part.shape[-2] * part.shape[-1]) for part in parts]
+        return np.concatenate(entries, axis=-1)
 
     def transformed(self, T: FloatArray) -> ModelMatrices:
         """Model with the state T x."""
@@ -210,10 +212,13 @@ def n_entries(order: int, n_inputs: int, n_outputs: int) -> int:
 
 
 def unpack(values: FloatArray, order: int, n_inputs: int, n_outputs: int) -> ModelMatrices:
-    """Matrices from a packed vector; the inverse of `Matrices.pack`."""
-    sizes = (*_shapes(order, n_inputs, n_outputs), (-1, order))
-    parts = np.split(values, np.cumsum([rows * columns for rows, columns in sizes[:-1]]))
-    return ModelMatrices(*(part.reshape(size) for part, size in zip(parts, sizes, strict=True)))
+    """Matrices from packed vectors (..., n_entries); the inverse of `Matrices.pack`."""
+    stacked, parts, start = values.shape[:-1], [], 0
+    for rows, columns in _shapes(order, n_inputs, n_outputs):
+        stop = start + rows * columns
+        parts.append(values[..., start:stop].reshape(*stacked, rows, columns))
+        start = stop
+    return ModelMatrices(*parts, values[..., start:].reshape(*stacked, -1, order))
 
 
 def unscale(matrices: ModelMatrices, data: Stack) -> ModelMatrices:

@@ -6,6 +6,7 @@ Responses of plants to a sampled servo: hold, computation delay, current loop, a
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -187,7 +188,7 @@ class SampledPlants:
 
     def map(self, function: Callable[[SampledPlants], Result]) -> list[Result]:
         """Results of a function of parts of the plants, in threads with small temporary arrays."""
-        n_parts = -(-len(self.A) // _PART)
+        n_parts = max(-(-len(self.A) // _PART), min(os.cpu_count() or 1, len(self.A)))
         pairs = zip(np.array_split(self.A, n_parts), np.array_split(self.B, n_parts), strict=True)
         return run_parallel([partial(function, replace(self, A=A, B=B)) for A, B in pairs])
 

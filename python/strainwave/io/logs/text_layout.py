@@ -7,6 +7,7 @@ import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Literal
 
@@ -136,7 +137,7 @@ def _layout_of(probe: Sequence[bytes], end: Sequence[str]) -> Layout | None:
 
 def _weight(cell: str) -> int:
     """1 for a number, -1 for several numbers, which need another delimiter."""
-    if _NUMBER.fullmatch(cell):
+    if cell_kind(cell) == "number":
         return 1
     return -1 if _SEVERAL.match(cell) and clock_of(cell) is None else 0
 
@@ -173,6 +174,7 @@ def _column_kinds(rows: Sequence[Sequence[str]]) -> tuple[CellKind, ...]:
     return tuple(kinds)
 
 
+@lru_cache(maxsize=4096)  # the same cells are asked for several times
 def cell_kind(cell: str) -> CellKind:
     """Return the kind of a cell's content."""
     if _NUMBER.fullmatch(cell):
