@@ -132,6 +132,8 @@ pub struct GeneralPrograms<A: 'static, const N: usize> {
     pub forward: Differentiation<A, N>,
     /// Derivatives by dual numbers.
     pub dual_numbers: Differentiation<A, N>,
+    /// As `dual_numbers`, on AVX-512.
+    pub dual_numbers_avx512: Differentiation<A, N>,
 }
 
 impl<A: Arm<N>, const N: usize> GeneralPrograms<A, N> {
@@ -141,6 +143,7 @@ impl<A: Arm<N>, const N: usize> GeneralPrograms<A, N> {
             simulation: simulate::<A, AllLaws, N, true>,
             forward: forward::<A, AllLaws, N, true>,
             dual_numbers: dual_numbers::<A, AllLaws, N, true>,
+            dual_numbers_avx512: dual_numbers::<A, AllLaws, N, true>,
         }
     }
 
@@ -231,6 +234,32 @@ pub fn dual_numbers<A: Arm<N>, G: Gears, const N: usize, const EFFECTS: bool>(
 ) -> Result<Sensitivities<N>, Diverged> {
     Width::COMPILED.require();
     differentiate_over_dual_numbers::<A, One, Several, G, N, EFFECTS>(request)
+}
+
+/// [`dual_numbers`] with eight directions per simulation.
+///
+/// # Errors
+/// The motion diverged.
+///
+/// # Panics
+/// The processor lacks AVX-512, or a gear is not in the set.
+#[cfg(target_arch = "x86_64")]
+pub fn dual_numbers_avx512<A: Arm<N>, G: Gears, const N: usize, const EFFECTS: bool>(
+    request: &Request<'_, A, N>,
+) -> Result<Sensitivities<N>, Diverged> {
+    Width::Avx512.require();
+    differentiate_over_dual_numbers::<A, One, F64x8, G, N, EFFECTS>(request)
+}
+
+/// [`dual_numbers`], because this target has no wider registers.
+///
+/// # Errors
+/// The motion diverged.
+#[cfg(not(target_arch = "x86_64"))]
+pub fn dual_numbers_avx512<A: Arm<N>, G: Gears, const N: usize, const EFFECTS: bool>(
+    request: &Request<'_, A, N>,
+) -> Result<Sensitivities<N>, Diverged> {
+    dual_numbers::<A, G, N, EFFECTS>(request)
 }
 
 /// [`dual_numbers`] for every gear law and effect on the baseline of the target.
@@ -341,6 +370,7 @@ impl<A: Arm<N>, const N: usize> Programs<A, N> {
                 || !task.config.has_coupled_errors()
                     && without_plant_effects(&task.config, member.parameters).is_some());
         match width {
+            Width::Avx512 if !has_forward => (self.general.dual_numbers_avx512)(request),
             _ if !has_forward => (self.general.dual_numbers)(request),
             _ if !task.config.has_gears::<Slopes>() => (self.general.forward)(request),
             // compiled on aarch64 too, for the registers there

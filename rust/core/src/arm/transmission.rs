@@ -80,6 +80,20 @@ pub(crate) fn link_of<A: Arm<N>, R: Real, const N: usize>(
     sum
 }
 
+/// Torsion of a gear for link-side motions of motors and links.
+#[inline(always)]
+pub(crate) fn torsion_of<A: Arm<N>, R: Real, const N: usize>(
+    arm: &A,
+    joint: usize,
+    motors: &[R; N],
+    links: &[R; N],
+) -> R {
+    match arm.transmission() {
+        None => motors[joint] - links[joint],
+        Some(_) => link_of(arm, joint, &[R::splat(1.0); N], motors, -links[joint]),
+    }
+}
+
 /// Torque on a motor: the sum of C_ij f T_i over the joints, plus a term.
 #[inline(always)]
 pub(crate) fn motor_of<A: Arm<N>, R: Real, const N: usize>(

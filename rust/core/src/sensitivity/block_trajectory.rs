@@ -77,9 +77,10 @@ impl<'a, A: Arm<N>, S: Real, V: Lanes, G: Gears, const N: usize, const EFFECTS: 
     pub(crate) fn new(
         task: &'a Task<A, N>,
         member: &'a Member<'a, N>,
-        directions: &[Source],
+        (all, first): (&[Source], usize),
         sensing: Option<&Sensing<V, N>>,
     ) -> Self {
+        let directions = &all[first..];
         let lift = |source, value| seed_dual(source, value, directions);
         let dual: Simulation<'a, A, Dual<S, V>, G, N, EFFECTS> =
             Simulation::new(task, member, &lift);
@@ -89,7 +90,7 @@ impl<'a, A: Arm<N>, S: Real, V: Lanes, G: Gears, const N: usize, const EFFECTS: 
         let width = directions.len().min(V::LANES);
         let tangent = tangent_of(&task.config.arm, &dual.motion, &ratio, half);
         let mut trajectory = Self {
-            block: TangentBlock::new(&task.config, directions, tangent),
+            block: TangentBlock::new(&task.config, (all, first), tangent),
             has_torque_derivatives: task.servo.is_some()
                 || has_drive_parameter(&task.config, &directions[..width]),
             torque: dual.motion.torque.map(|number| number.tangent),
@@ -175,6 +176,7 @@ impl<'a, A: Arm<N>, S: Real, V: Lanes, G: Gears, const N: usize, const EFFECTS: 
         &mut self,
         linear: &LinearisedStep<A, L, G, N>,
         linearised_span: &LinearisedSpan<S, N>,
+        workspace: &mut Workspace<V, N>,
     ) {
         for i in 0..N {
             if linearised_span.is_stuck[i] {
@@ -182,11 +184,15 @@ impl<'a, A: Arm<N>, S: Real, V: Lanes, G: Gears, const N: usize, const EFFECTS: 
             }
         }
         let torque = self.torques(&linearised_span.decay);
-        let (block, mut first) = (&self.block, Response::zero());
-        let begin = Some(&torque.begin);
-        block.respond::<_, _, _, false>(linear, 0, &block.tangent, begin, &mut first);
+        let (
+            TangentBlock {
+                forcing, tangent, ..
+            },
+            mut first,
+        ) = (&mut self.block, Response::zero());
+        forcing.update(&linear.quads);
+        forcing.respond::<_, _, _, false>(linear, 0, tangent, Some(&torque.begin), &mut first);
         let part = 0.5 * linearised_span.duration / self.half;
-        let workspace = &mut Workspace::new();
         self.block
             .advance_part::<A, L, G, false>(linear, &first, Some(&torque), part, workspace);
         self.torque = torque.end;
@@ -264,7 +270,7 @@ impl<'a, A: Arm<N>, S: Real, V: Lanes, G: Gears, const N: usize, const EFFECTS: 
         response: &Response<V, N>,
     ) {
         let x = &self.block.tangent;
-        let per_second = V::splat(1.0 / self.half);
+        let per_second = 1.0 / self.half;
         for (k, quantity) in quantities.iter().enumerate() {
             let row = match quantity {
                 Quantity::Voltage => self.dual.voltage.map(|number| number.tangent),
@@ -276,7 +282,7 @@ impl<'a, A: Arm<N>, S: Real, V: Lanes, G: Gears, const N: usize, const EFFECTS: 
                 Quantity::LinkAngle => x.angle,
                 Quantity::LinkVelocity => x.link_velocities(self.half),
                 Quantity::LinkAcceleration => {
-                    response.link.map(|one| per_second * per_second * one)
+                    times_number(&times_number(&response.link, per_second), per_second)
                 }
                 Quantity::GearTorque => response.gear,
                 Quantity::Torsion => x.torsion,
@@ -337,6 +343,16 @@ fn to_motor_side<V: Real, const N: usize>(ratio: &[f64; N], link_side: &[V; N]) 
     motor
 }
 
+/// No closure, each of which would be a call.
+#[inline(always)]
+fn times_number<V: Real, const N: usize>(all: &[V; N], factor: f64) -> [V; N] {
+    let mut products = *all;
+    for i in 0..N {
+        products[i] = all[i] * factor;
+    }
+    products
+}
+
 impl<V: Real, const N: usize> Tangent<V, N> {
     /// Derivatives of the motor angles [rad].
     #[inline(always)]
@@ -351,13 +367,13 @@ impl<V: Real, const N: usize> Tangent<V, N> {
     /// Derivatives of the motor velocities [rad/s]; `half` [s] is half a step.
     #[inline(always)]
     fn motor_velocities(&self, ratio: &[f64; N], half: f64) -> [V; N] {
-        to_motor_side(ratio, &self.motor).map(|one| one * (1.0 / half))
+        times_number(&to_motor_side(ratio, &self.motor), 1.0 / half)
     }
 
     /// Derivatives of the link velocities [rad/s].
     #[inline(always)]
     fn link_velocities(&self, half: f64) -> [V; N] {
-        self.link.map(|one| one * (1.0 / half))
+        times_number(&self.link, 1.0 / half)
     }
 }
 

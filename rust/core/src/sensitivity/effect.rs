@@ -16,7 +16,7 @@ use crate::joint::gear::{Gears, Spring};
 use crate::plant::config::{Config, Role};
 use crate::plant::{Modes, Plant, State, angle_in_space};
 use crate::scalar::{Jet, Real};
-use crate::sensitivity::forcing::{GEAR_EFFECTS, MOTOR_EFFECTS, Quads};
+use crate::sensitivity::forcing::{GEAR_EFFECTS, LINK_EFFECTS, MOTOR_EFFECTS, Quads};
 use crate::sensitivity::holding::Holding;
 use crate::sensitivity::trace::{Stage, Stages, Trace};
 
@@ -273,11 +273,10 @@ impl<L: Real, const N: usize> EffectSensitivity<L, N> {
                     let (quad, slot) = (size.size.index / 4, size.size.index % 4);
                     for lane in 0..L::LANES {
                         let stage = first + lane;
-                        quads.drive_train[i][GEAR_EFFECTS + quad].0[stage][slot] =
-                            derivatives.gear.lane(lane);
-                        quads.drive_train[i][MOTOR_EFFECTS + quad].0[stage][slot] =
-                            motor.lane(lane);
-                        quads.of_link(i, quad).0[stage][slot] = derivatives.link.lane(lane);
+                        let of_joint = &mut quads[i];
+                        of_joint[GEAR_EFFECTS + quad].0[stage][slot] = derivatives.gear.lane(lane);
+                        of_joint[MOTOR_EFFECTS + quad].0[stage][slot] = motor.lane(lane);
+                        of_joint[LINK_EFFECTS + quad].0[stage][slot] = derivatives.link.lane(lane);
                     }
                 }
             }

@@ -1,7 +1,9 @@
 //! Derivatives of the equations with respect to parameters.
 //!
-//! They are computed once for all blocks, four parameters of a row at a time ([`Quad`]); each block
-//! selects the quads of its directions.
+//! They are computed once for all blocks. Base parameters change the rows of all links up to their
+//! own: these rows are stored by direction ([`LinkForcing`]), and a block loads its vector. Other
+//! parameters change few rows: they are stored four at a time ([`Quad`]), and a block selects the
+//! quads of its directions.
 
 use std::collections::BTreeMap;
 
@@ -11,7 +13,7 @@ use crate::joint::effects::{AffectedTerms, EFFECT_SIZE_COUNT, Size};
 use crate::joint::transmission::DRIVE;
 use crate::plant::config::{Config, Role};
 use crate::plant::first_bearing;
-use crate::scalar::{Lanes, MAX_LANES};
+use crate::scalar::{Aligned, Lanes, MAX_LANES};
 
 /// Row of the equations.
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -38,55 +40,26 @@ pub(crate) const GEAR: usize = 1;
 pub(crate) const MOTOR_EFFECTS: usize = 3;
 /// First quad of the sizes of effects, in the gear's row.
 pub(crate) const GEAR_EFFECTS: usize = MOTOR_EFFECTS + EFFECT_QUADS;
+/// Quad of the link's viscous friction.
+pub(crate) const LINK_VISCOUS_QUAD: usize = GEAR_EFFECTS + EFFECT_QUADS;
+/// First quad of the sizes of effects, in the link's row.
+pub(crate) const LINK_EFFECTS: usize = LINK_VISCOUS_QUAD + 1;
 /// Number of quads for the sizes of effects.
 const EFFECT_QUADS: usize = EFFECT_SIZE_COUNT.div_ceil(4);
-/// Number of quads of a joint's motor and gear.
-const DRIVE_TRAIN_QUADS: usize = GEAR_EFFECTS + EFFECT_QUADS;
-/// Quads of the link's viscous friction, the arm's base parameters and the sizes of effects, in
-/// this order.
-const LINK: usize = DRIVE_TRAIN_QUADS;
+/// Number of quads of a joint.
+const QUADS: usize = LINK_EFFECTS + EFFECT_QUADS;
+/// Quads of each joint.
+pub(crate) type Quads<const N: usize> = [[Quad; QUADS]; N];
 
-/// Quads of all joints.
-pub(crate) struct Quads<const N: usize> {
-    pub(crate) drive_train: [[Quad; DRIVE_TRAIN_QUADS]; N],
-    /// Quads of the links' rows, joint by joint.
-    pub(crate) link: Vec<Quad>,
-}
-
-/// Number of quads of a link's row for base parameters.
-#[inline(always)]
-pub(crate) fn link_quads(bases: usize) -> usize {
-    (1 + bases).div_ceil(4)
-}
-
-/// Number of quads of a link's row.
-#[inline(always)]
-pub(crate) fn all_link_quads(bases: usize) -> usize {
-    link_quads(bases) + EFFECT_QUADS
-}
-
-impl<const N: usize> Quads<N> {
-    /// Zero derivatives.
-    pub(crate) fn zeros(bases: usize) -> Self {
-        let zero = Quad([[0.0; 4]; 4]);
-        Self {
-            drive_train: [[zero; DRIVE_TRAIN_QUADS]; N],
-            link: vec![zero; N * all_link_quads(bases)],
-        }
-    }
-
-    /// A quad of the sizes of effects in a link's row.
-    #[inline(always)]
-    pub(crate) fn of_link(&mut self, joint: usize, quad: usize) -> &mut Quad {
-        let per_link = self.link.len() / N;
-        &mut self.link[(joint + 1) * per_link - EFFECT_QUADS + quad]
-    }
+/// Zero derivatives.
+pub(crate) fn zero_quads<const N: usize>() -> Quads<N> {
+    [[Quad([[0.0; 4]; 4]); QUADS]; N]
 }
 
 fn row(quad: usize) -> Row {
     match quad {
         MOTOR | MOTOR_EFFECTS..GEAR_EFFECTS => Row::Motor,
-        GEAR..MOTOR_EFFECTS | GEAR_EFFECTS..DRIVE_TRAIN_QUADS => Row::Gear,
+        GEAR..MOTOR_EFFECTS | GEAR_EFFECTS..LINK_VISCOUS_QUAD => Row::Gear,
         _ => Row::Link,
     }
 }
@@ -109,12 +82,9 @@ fn locations<A: Arm<N>, const N: usize>(config: &Config<A, N>) -> Vec<Vec<Locati
         quad: quad + slot / 4,
         slot: slot % 4,
     };
-    let bases = config.arm.names().len();
     let location = |(role, i): (Role, usize)| match role {
-        Role::Base(k) => (0..config.arm.joints())
-            .map(|j| at(j, LINK, 1 + k))
-            .collect(),
-        Role::Drive(LINK_VISCOUS) => vec![at(i, LINK, 0)],
+        Role::Base(_) => Vec::new(), // see `LinkForcing`
+        Role::Drive(LINK_VISCOUS) => vec![at(i, LINK_VISCOUS_QUAD, 0)],
         Role::Drive(k) => vec![at(i, MOTOR, k)],
         Role::Damping => vec![at(i, GEAR, 0)],
         Role::Gear(k) => vec![at(i, GEAR, 1 + k)],
@@ -123,10 +93,11 @@ fn locations<A: Arm<N>, const N: usize>(config: &Config<A, N>) -> Vec<Vec<Locati
         // other parameters of an effect have no influence at size zero
         Role::Effect(k) => match config.joints[i].effects.parameters()[k].size {
             Some(size) => {
-                let own_rows = effect_locations(size, bases);
-                let mut all: Vec<_> = own_rows.map(|(quad, slot)| at(i, quad, slot)).collect();
+                let mut all: Vec<_> = effect_rows(size)
+                    .map(|quad| at(i, quad, size.index))
+                    .collect();
                 if size.affects.weight {
-                    let weight_location = at(i, LINK + link_quads(bases), size.index);
+                    let weight_location = at(i, LINK_EFFECTS, size.index);
                     let first = first_bearing::<A, N>(i);
                     all.extend((first..=i).map(|joint| Location {
                         joint,
@@ -141,8 +112,8 @@ fn locations<A: Arm<N>, const N: usize>(config: &Config<A, N>) -> Vec<Vec<Locati
     config.roles().into_iter().map(location).collect()
 }
 
-/// Quads and slots of the size of an effect in the rows of its joint.
-fn effect_locations(size: Size, bases: usize) -> impl Iterator<Item = (usize, usize)> {
+/// First quads of the rows of its joint that an effect changes.
+fn effect_rows(size: Size) -> impl Iterator<Item = usize> {
     let AffectedTerms {
         friction,
         motor,
@@ -154,70 +125,195 @@ fn effect_locations(size: Size, bases: usize) -> impl Iterator<Item = (usize, us
     let rows = [
         (friction || motor, MOTOR_EFFECTS),
         (gear, GEAR_EFFECTS),
-        (link, LINK + link_quads(bases)),
+        (link, LINK_EFFECTS),
     ];
-    let affected_rows = rows.into_iter().filter(|(affects, _)| *affects);
-    affected_rows.map(move |(_, quad)| (quad, size.index))
+    rows.into_iter()
+        .filter(|(affects, _)| *affects)
+        .map(|(_, quad)| quad)
 }
 
 /// Index of the link's viscous friction in a joint's drive; those before it act on the motor.
 const LINK_VISCOUS: usize = DRIVE.len() - 1;
 
-/// Largest number of quads per row: each lane uses at most one.
-const MAX_ROW_QUADS: usize = MAX_LANES;
-
-/// Quads of a row with the selection of their numbers.
-type RowSelection<P> = [Option<(usize, P)>; MAX_ROW_QUADS];
+/// A quad that changes a row of a joint, and the lanes that receive its numbers.
+struct Entry<P> {
+    /// Index among the rows of all joints.
+    row: usize,
+    /// Whether it is the first of its row.
+    is_first: bool,
+    /// Index among the quads of all joints.
+    quad: usize,
+    selection: P,
+}
 
 /// Derivatives of the equations for the directions of a block.
 pub(crate) struct Forcing<V: Lanes, const N: usize> {
-    selections: [[RowSelection<V::Selection>; N]; 3],
+    /// Row by row; few, because most parameters change one row of one joint.
+    entries: Vec<Entry<V::Selection>>,
+    /// Rows of gears, motors and links at each stage; zeros where there is no entry.
+    rows: [[[V; N]; 3]; 4],
+    /// The first direction.
+    first: usize,
 }
 
 impl<V: Lanes, const N: usize> Forcing<V, N> {
-    /// Forcing for the first `V::LANES` directions.
-    pub(crate) fn new<A: Arm<N>>(config: &Config<A, N>, directions: &[Source]) -> Self {
+    /// Forcing for `V::LANES` of the directions, from the `first`.
+    pub(crate) fn new<A: Arm<N>>(
+        config: &Config<A, N>,
+        directions: &[Source],
+        first: usize,
+    ) -> Self {
         let locations = locations(config);
-        let per_link = all_link_quads(config.arm.names().len());
         let mut slots_by_quad: BTreeMap<_, [Option<usize>; MAX_LANES]> = BTreeMap::new();
-        for (lane, direction) in directions.iter().take(V::LANES).enumerate() {
+        for (lane, direction) in directions.iter().skip(first).take(V::LANES).enumerate() {
             if let &Source::Parameter(k) = direction {
                 for location in &locations[k] {
-                    let key = (location.joint, location.quad, location.quad_joint);
-                    let slots = slots_by_quad.entry(key).or_default();
+                    let row = row(location.quad) as usize * N + location.joint;
+                    let quad = location.quad_joint * QUADS + location.quad;
+                    let slots = slots_by_quad.entry((row, quad)).or_default();
                     slots[lane] = Some(location.slot);
                 }
             }
         }
-        let mut selections = [[[None; MAX_ROW_QUADS]; N]; 3];
-        for ((joint, quad, of), slots) in slots_by_quad {
-            let selections: &mut RowSelection<V::Selection> =
-                &mut selections[row(quad) as usize][joint];
-            let next = selections.iter().position(Option::is_none);
-            let quad = match quad.checked_sub(LINK) {
-                Some(of_link) => of * per_link + of_link,
-                None => quad,
-            };
-            selections[next.expect("at most one quad per lane")] =
-                Some((quad, V::selection(slots)));
+        let mut entries: Vec<Entry<V::Selection>> = Vec::with_capacity(slots_by_quad.len());
+        for ((row, quad), slots) in slots_by_quad {
+            entries.push(Entry {
+                row,
+                is_first: entries.last().is_none_or(|last| last.row != row),
+                quad,
+                selection: V::selection(slots),
+            });
         }
-        Self { selections }
+        Self {
+            entries,
+            rows: [[[V::splat(0.0); N]; 3]; 4],
+            first,
+        }
     }
 
-    /// Derivatives of a joint's row at a stage.
+    /// Sets [`Self::rows`] for a step.
     #[inline(always)]
-    pub(crate) fn of(&self, quads: &Quads<N>, row: Row, joint: usize, stage: usize) -> V {
-        let from = match row {
-            Row::Link => &quads.link[..],
-            Row::Gear | Row::Motor => &quads.drive_train[joint][..],
-        };
-        let mut sum = V::splat(0.0);
-        for selection in &self.selections[row as usize][joint] {
-            let Some((quad, selection)) = selection else {
-                break;
-            };
-            sum = sum.replace_selected(selection, &from[*quad].0[stage]);
+    pub(crate) fn update(&mut self, quads: &Quads<N>) {
+        let zero = V::splat(0.0);
+        let mut sums = [zero; 4];
+        for entry in &self.entries {
+            let quad = &quads.as_flattened()[entry.quad];
+            for stage in 0..4 {
+                // not of the number in the row, which would be stored by a slow masked instruction
+                let sum = if entry.is_first { zero } else { sums[stage] };
+                sums[stage] = sum.replace_selected(&entry.selection, &quad.0[stage]);
+                self.rows[stage].as_flattened_mut()[entry.row] = sums[stage];
+            }
         }
-        sum
+    }
+
+    /// Derivatives of the rows of gears, motors and links at a stage.
+    #[inline(always)]
+    pub(crate) fn at(&self, stage: usize) -> &[[V; N]; 3] {
+        &self.rows[stage]
+    }
+
+    /// Derivatives of the links' rows at a stage, without those in [`Self::at`].
+    #[inline(always)]
+    pub(crate) fn of_links(&self, all: &LinkForcing, stage: usize) -> [V; N] {
+        let mut rows = [V::splat(0.0); N];
+        let numbers = &all.numbers[4 * N * self.first..][..4 * N * V::LANES];
+        for i in 0..N {
+            rows[i] = V::load(&numbers[(stage * N + i) * V::LANES..]);
+        }
+        rows
+    }
+}
+
+/// Up to four directions in succession in one block, of which some are base parameters.
+struct Group {
+    /// Index of the first direction in the first row of the block.
+    first: usize,
+    parameters: [Option<usize>; 4],
+    last_parameter: usize,
+}
+
+/// Derivatives of the links' rows with respect to base parameters, block by block, stage by stage and
+/// joint by joint, one per direction.
+pub(crate) struct LinkForcing {
+    /// Those with such parameters.
+    groups: Vec<Group>,
+    /// Directions per block.
+    lanes: usize,
+    /// Behind those of the directions, zeros for a block without directions.
+    numbers: Aligned,
+}
+
+impl LinkForcing {
+    pub(crate) fn new<A: Arm<N>, const N: usize>(
+        config: &Config<A, N>,
+        directions: &[Source],
+        lanes: usize,
+    ) -> Self {
+        let roles = config.roles();
+        let parameter = |direction: &Source| match direction {
+            Source::Parameter(k) => match roles[*k] {
+                (Role::Base(k), _) => Some(k),
+                _ => None,
+            },
+            _ => None,
+        };
+        let per_group = lanes.min(4);
+        let group = |(k, four): (usize, &[Source])| {
+            let mut parameters = [None; 4];
+            for (to, direction) in parameters.iter_mut().zip(four) {
+                *to = parameter(direction);
+            }
+            let in_block = k * per_group % lanes;
+            Some(Group {
+                first: 4 * N * (k * per_group - in_block) + in_block,
+                parameters,
+                last_parameter: parameters.into_iter().flatten().max()?,
+            })
+        };
+        let blocks = directions.len().div_ceil(lanes) + 1;
+        Self {
+            groups: directions
+                .chunks(per_group)
+                .enumerate()
+                .filter_map(group)
+                .collect(),
+            lanes,
+            numbers: Aligned::zeros(4 * N * blocks * lanes),
+        }
+    }
+
+    /// Sets the derivatives at the stages from the `first` to the torques of the joints per base
+    /// parameter.
+    #[inline(always)]
+    pub(crate) fn set<A: Arm<N>, L: Lanes, const N: usize>(
+        &mut self,
+        arm: &A,
+        by: &[[L; N]],
+        first: usize,
+    ) {
+        for group in &self.groups {
+            for i in 0..arm.joints() {
+                if group.last_parameter < arm.first_parameter(i) {
+                    break; // zeros, as for the joints behind
+                }
+                let mut four = [L::splat(0.0); 4];
+                for slot in 0..4 {
+                    if let Some(k) = group.parameters[slot] {
+                        four[slot] = by[k][i];
+                    }
+                }
+                let mut rows = [[0.0; 4]; 4];
+                L::store_rows(&four, &mut rows);
+                for lane in 0..L::LANES {
+                    let begin = group.first + ((first + lane) * N + i) * self.lanes;
+                    let to = &mut self.numbers[begin..];
+                    match self.lanes {
+                        0..4 => to[..self.lanes].copy_from_slice(&rows[lane][..self.lanes]),
+                        _ => to[..4].copy_from_slice(&rows[lane]), // of constant length
+                    }
+                }
+            }
+        }
     }
 }

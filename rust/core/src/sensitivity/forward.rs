@@ -107,8 +107,7 @@ impl<'a, A: Arm<N>, S: Lanes, V: Lanes, L: Lanes, G: Gears, const N: usize, cons
         let nominal = Simulation::new(task, of.member, &plain);
         let sensing = Sensing::new(task, nominal.sensors.as_ref());
         let trajectory = |first| {
-            let directions = &of.directions[first..];
-            BlockTrajectory::new(requested, member, directions, sensing.as_ref())
+            BlockTrajectory::new(requested, member, (of.directions, first), sensing.as_ref())
         };
         let has_lag = |joint: &Joint<S, G>| {
             let lag = joint.effects.drive_lag;
@@ -118,6 +117,7 @@ impl<'a, A: Arm<N>, S: Lanes, V: Lanes, L: Lanes, G: Gears, const N: usize, cons
             &task.config,
             of.member.parameters,
             (&requested.config, member.parameters),
+            (of.directions, V::LANES),
             &nominal.motion.state,
             task.clock.step,
         );
@@ -127,7 +127,11 @@ impl<'a, A: Arm<N>, S: Lanes, V: Lanes, L: Lanes, G: Gears, const N: usize, cons
             has_drive_lag: nominal.plant.joints.iter().any(has_lag),
             nominal,
             commanded: false,
-            unforced: TangentBlock::new(&task.config, &[], Tangent::zero()),
+            unforced: TangentBlock::new(
+                &task.config,
+                (of.directions, width.next_multiple_of(V::LANES)),
+                Tangent::zero(),
+            ),
             differentiable_current: task.config.current_loop(task.clock.step),
             trace: Trace::new(task.config.arm, task.config.joints.map(|joint| joint.ratio)),
             linear,
@@ -203,12 +207,15 @@ impl<'a, A: Arm<N>, S: Lanes, V: Lanes, L: Lanes, G: Gears, const N: usize, cons
             let torque = trajectory
                 .has_torque_derivatives
                 .then_some(&trajectory.torque);
-            let block = &trajectory.block;
-            block.respond::<_, _, _, true>(&self.linear, 0, &block.tangent, torque, response);
+            let TangentBlock {
+                forcing, tangent, ..
+            } = &mut trajectory.block;
+            forcing.update(&self.linear.quads);
+            forcing.respond::<_, _, _, true>(&self.linear, 0, tangent, torque, response);
             if let (Some(sensing), Some(block_sensors)) =
                 (&self.sensing, &mut trajectory.block_sensors)
             {
-                block_sensors.sense(&self.nominal.plant.arm, sensing, &block.tangent, response);
+                block_sensors.sense(&self.nominal.plant.arm, sensing, tangent, response);
             }
             if event.samples {
                 let (quantities, buffer) = (&self.task.record, &mut self.buffer);
@@ -237,7 +244,7 @@ impl<'a, A: Arm<N>, S: Lanes, V: Lanes, L: Lanes, G: Gears, const N: usize, cons
             let span = self.nominal.spans[index];
             let linearised_span = self.linearise_span(&span);
             for trajectory in &mut self.blocks {
-                trajectory.advance_span(&self.linear, &linearised_span);
+                trajectory.advance_span(&self.linear, &linearised_span, &mut self.workspace);
             }
         }
         for trajectory in &mut self.blocks {

@@ -1,7 +1,7 @@
 //! Derivatives of the motion, and of the accelerations.
 
 use crate::arm::Arm;
-use crate::arm::transmission::link_of;
+use crate::arm::transmission::torsion_of;
 use crate::scalar::Real;
 
 /// Derivatives of torsions and link angles, and of the velocities of motors and links.
@@ -21,10 +21,8 @@ pub(crate) struct Tangent<V, const N: usize> {
 /// Derivatives of torques and accelerations.
 #[derive(Clone, Copy)]
 pub(crate) struct Response<V, const N: usize> {
-    /// Gear torques [N m].
+    /// Gear torques [N m], of the first stage only.
     pub(crate) gear: [V; N],
-    /// Torsion rates times half a step.
-    pub(crate) rate: [V; N],
     /// n ddtheta_M' times half a step squared.
     pub(crate) motor: [V; N],
     /// ddtheta_L' times half a step squared.
@@ -56,9 +54,8 @@ impl<V: Real, const N: usize> Tangent<V, N> {
     /// Adds the displacement of accelerations; `square` is half of the square of a time.
     #[inline(always)]
     pub(crate) fn shift<A: Arm<N>>(&mut self, arm: &A, square: V, a: &Response<V, N>) {
-        let one = [V::splat(1.0); N];
         for i in 0..N {
-            let twist = link_of(arm, i, &one, &a.motor, -a.link[i]);
+            let twist = torsion_of(arm, i, &a.motor, &a.link);
             self.torsion[i] = square.mul_add(twist, self.torsion[i]);
             self.angle[i] = square.mul_add(a.link[i], self.angle[i]);
         }
@@ -82,13 +79,15 @@ impl<V: Real, const N: usize> Tangent<V, N> {
     #[inline(always)]
     pub(crate) fn become_stage<A: Arm<N>>(
         &mut self,
+        arm: &A,
         begin: &Self,
         time: Option<V>,
         at: &Self,
         a: &Response<V, N>,
     ) {
         for i in 0..N {
-            self.torsion[i] = advance(begin.torsion[i], a.rate[i], time);
+            let rate = torsion_of(arm, i, &at.motor, &at.link);
+            self.torsion[i] = advance(begin.torsion[i], rate, time);
             self.motor[i] = advance(begin.motor[i], a.motor[i], time);
             self.link[i] = advance(begin.link[i], a.link[i], time);
             self.angle[i] = match A::DEPENDS_ON_ANGLE[i] {
@@ -115,7 +114,6 @@ impl<V: Real, const N: usize> Response<V, N> {
         let zero = [V::splat(0.0); N];
         Self {
             gear: zero,
-            rate: zero,
             motor: zero,
             link: zero,
         }

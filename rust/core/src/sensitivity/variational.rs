@@ -14,12 +14,13 @@
 //! - ddtheta_L' = M_L^-1 (s' - (M_L ddtheta_L + c + g)' - d_L dtheta_L')
 
 use crate::arm::{Arm, Outlined};
+use crate::experiment::Source;
 use crate::joint::gear::{Gears, Spring};
 use crate::plant::config::Config;
 use crate::plant::{Modes, Plant, State};
 use crate::scalar::{Lanes, Real, inverse, run_out_of_line, works};
 use crate::sensitivity::effect::EffectSensitivity;
-use crate::sensitivity::forcing::{GEAR, MOTOR, Quads, all_link_quads, link_quads};
+use crate::sensitivity::forcing::{GEAR, LINK_VISCOUS_QUAD, LinkForcing, MOTOR, Quads, zero_quads};
 use crate::sensitivity::trace::{Stages, Trace};
 
 /// Coefficients of the linear equations at the four stages, in the units of
@@ -41,6 +42,7 @@ pub(crate) struct LinearisedStep<A: Arm<N>, L: Lanes, G: Gears, const N: usize> 
     pub(crate) motor: [[f64; N]; 3],
     /// Derivatives with respect to parameters.
     pub(crate) quads: Quads<N>,
+    pub(crate) link_forcing: LinkForcing,
     /// At the four stages; updated in place, because it is long for long chains.
     regressor: A::Regressor<L>,
     /// Effects of size zero.
@@ -82,12 +84,14 @@ impl Settling {
 }
 
 impl<A: Arm<N>, L: Lanes, G: Gears, const N: usize> LinearisedStep<A, L, G, N> {
-    /// For an arm without effects and steps of length `step` [s]. Directions are by the parameters
-    /// of `requested`, which may have effects of size zero; the motion begins in a state.
+    /// For an arm without effects and steps of length `step` [s]. Directions, of which a block has
+    /// `lanes`, are by the parameters of `requested`, which may have effects of size zero; the motion
+    /// begins in a state.
     pub(crate) fn new<S: Real>(
         config: &Config<A, N>,
         parameters: &[f64],
         (requested, all): (&Config<A, N>, &[f64]),
+        (directions, lanes): (&[Source], usize),
         begin: &State<S, N>,
         step: f64,
     ) -> Self {
@@ -103,7 +107,8 @@ impl<A: Arm<N>, L: Lanes, G: Gears, const N: usize> LinearisedStep<A, L, G, N> {
             by_velocity: [[[0.0; 4]; N]; N],
             damping: plant.joints.map(|joint| joint.gear_damping.lane(0) / half),
             motor: [[0.0; N]; 3],
-            quads: Quads::zeros(config.arm.names().len()),
+            quads: zero_quads(),
+            link_forcing: LinkForcing::new(requested, directions, lanes),
             regressor: config.arm.zero_regressor(),
             effects: requested
                 .has_effects()
@@ -190,7 +195,7 @@ impl<A: Arm<N>, L: Lanes, G: Gears, const N: usize> LinearisedStep<A, L, G, N> {
             let stage = &trace.stages[k];
             let (acceleration, velocity) = (stage.motor_acceleration[i], stage.motor_velocity[i]);
             let by = [acceleration, velocity, direction, 1.0];
-            store_scaled::<L>(&mut self.quads.drive_train[i][MOTOR].0[k], &by, -push);
+            store_scaled::<L>(&mut self.quads[i][MOTOR].0[k], &by, -push);
         }
     }
 
@@ -222,35 +227,18 @@ impl<A: Arm<N>, L: Lanes, G: Gears, const N: usize> LinearisedStep<A, L, G, N> {
             }
         }
         arm.update_regressor(&at, &dq, &ddq, &mut self.regressor);
-        let by = self.regressor.as_ref();
-        // loops of constant length without closures, because each closure would be a call
-        let per_link = all_link_quads(by.len());
-        let quads = &mut self.quads.link[..N * per_link];
-        for i in 0..self.plant.arm.joints() {
-            let first_parameter = arm.first_parameter(i);
-            for k in 0..link_quads(by.len()) {
-                if k > 0 && 4 * k + 3 <= first_parameter {
-                    continue; // zeros
-                }
-                let mut four = [L::splat(0.0); 4];
-                for slot in 0..4 {
-                    let index = 4 * k + slot;
-                    if index == 0 {
-                        four[slot] = dq[i];
-                    } else if index <= by.len() {
-                        four[slot] = by[index - 1][i];
-                    }
-                }
-                let quad = &mut quads[i * per_link + k];
-                L::store_rows(&four, &mut quad.0[first..]);
-            }
+        let (by, zero) = (self.regressor.as_ref(), L::splat(0.0));
+        self.link_forcing.set(arm, by, first);
+        for i in 0..arm.joints() {
+            let four = [dq[i], zero, zero, zero];
+            L::store_rows(&four, &mut self.quads[i][LINK_VISCOUS_QUAD].0[first..]);
         }
     }
 
     /// Coefficients of one gear, for the stages from the `first`.
     #[inline(always)]
     fn gear(&mut self, trace: &Trace<A, N>, i: usize, first: usize) {
-        let (joint, quads) = (&self.plant.joints[i], &mut self.quads.drive_train[i]);
+        let (joint, quads) = (&self.plant.joints[i], &mut self.quads[i]);
         let torsion = trace.across::<L>(first, |stage| stage.torsion[i]);
         let rate = trace.across::<L>(first, |stage| stage.rate[i]);
         let stiffness = joint.spring.stiffness(torsion);

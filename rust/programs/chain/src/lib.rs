@@ -3,9 +3,10 @@
 use strainwave_core::arm::{Arm as _, MAX_CHAIN_JOINTS, SerialChain};
 use strainwave_core::experiment::known_length::{padded, with_known_length};
 use strainwave_core::experiment::{Diverged, Member, Record, Task};
-use strainwave_core::joint::gear::Slopes;
+use strainwave_core::joint::gear::{AllLaws, Slopes};
 use strainwave_core::program::{
-    Differentiation, FastPrograms, GeneralPrograms, forward, forward_avx512, simulate,
+    Differentiation, FastPrograms, GeneralPrograms, dual_numbers_avx512, forward, forward_avx512,
+    simulate,
 };
 use strainwave_core::sensitivity::{Request, Sensitivities};
 
@@ -14,7 +15,10 @@ type Arm = SerialChain<MAX_CHAIN_JOINTS>;
 type Known<const LENGTH: usize> = SerialChain<LENGTH, true>;
 
 /// Programs for every gear law and effect.
-pub static GENERAL: GeneralPrograms<Arm, MAX_CHAIN_JOINTS> = GeneralPrograms::compile();
+pub static GENERAL: GeneralPrograms<Arm, MAX_CHAIN_JOINTS> = GeneralPrograms {
+    dual_numbers_avx512: dual_numbers_avx512::<Arm, AllLaws, MAX_CHAIN_JOINTS, true>,
+    ..GeneralPrograms::compile()
+};
 
 /// Programs for linear and three-slope gears, of the most frequent lengths.
 pub static FAST: FastPrograms<Arm, MAX_CHAIN_JOINTS> = FastPrograms {
@@ -56,6 +60,7 @@ fn forward_chain_avx512(request: &Request<'_, Arm, MAX_CHAIN_JOINTS>) -> Derivat
     match request.task.config.arm.joints() {
         3 => differentiate_known(request, forward_avx512::<Known<3>, Slopes, 3, true>),
         6 => differentiate_known(request, forward_avx512::<Known<6>, Slopes, 6, true>),
+        7 => differentiate_known(request, forward_avx512::<Known<7>, Slopes, 7, true>),
         _ => (GENERAL.forward)(request),
     }
 }
