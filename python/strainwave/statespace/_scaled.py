@@ -167,7 +167,7 @@ class ModelMatrices:
 
     @property
     def order(self) -> int:
-        return self.A.shape[-1]
+        return int(self.A.shape[-1])
 
     def pack(self) -> FloatArray:
         """Entries in the layout of the core: A, B, C, D, K by rows, then the initial states."""
@@ -218,7 +218,8 @@ def unpack(values: FloatArray, order: int, n_inputs: int, n_outputs: int) -> Mod
         stop = start + rows * columns
         parts.append(values[..., start:stop].reshape(*stacked, rows, columns))
         start = stop
-    return ModelMatrices(*parts, values[..., start:].reshape(*stacked, -1, order))
+    parts.append(values[..., start:].reshape(*stacked, -1, order))
+    return ModelMatrices(*parts)
 
 
 def unscale(matrices: ModelMatrices, data: Stack) -> ModelMatrices:
