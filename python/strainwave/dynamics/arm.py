@@ -300,7 +300,7 @@ class Arm(ArmDescription):
 
         Column k is the torque of a unit acceleration of joint k minus gravity.
         """
-        return self._inertia_matrices(base, angle[None])[0]
+        return np.asarray(self._inertia_matrices(base, angle[None])[0])
 
     def _inertia_matrices(self, base: FloatArray, angles: FloatArray) -> FloatArray:
         """M(q) at several link angles (n_postures, n_joints): (n_postures, n_joints, n_joints)."""
