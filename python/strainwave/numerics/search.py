@@ -140,7 +140,7 @@ def minimise(
             return Minimum(x, current, evaluations, SearchEnd.EVALUATION_LIMIT)
         limit = partial(space.limit_step, x, share=trusted_share)
         predicted, step = _trusted_step(current.factor, damping, is_free, limit)
-        if stalled and predicted < gain_tolerance:  # limited steps would take hundreds
+        if stalled and not was_rejected and predicted < gain_tolerance:  # of limited steps
             return Minimum(x, current, evaluations, SearchEnd.STALLED)
         trial = space.move(x, step)
         evaluations += 1

@@ -57,9 +57,9 @@ from strainwave.signals.recorded_input import missing_recorded_input
 # value if that is less
 _SOFTEST, _STIFFNESS_STEP = 1.0 / 9.0, 1.22
 _MAX_ANTI_RESONANCE = 2.0  # times the cutoff; the records do not distinguish stiffer gears
-# above the least cost of a scan; of stiffnesses below it, which differ by the errors of other
-# parameters, the nearest to the start is taken
-_FLAT_COST_SHARE = 0.02
+# gain of a scan, relative to its least cost, below which the stiffness stays: the cost then depends
+# on the errors of other parameters
+_FLAT_COST_SHARE = 0.05
 _REFINEMENT = np.geomspace(1.0 / _STIFFNESS_STEP, _STIFFNESS_STEP, 9).tolist()
 _INFEASIBLE_START = (
     "the arm cannot be simulated with the estimates of the earlier stages. Check the signs, units"
@@ -224,15 +224,16 @@ def _scan_stiffness(start: Fit, joint: int) -> Fit:
     records = start.objective.records
     own = [k for k, record in enumerate(records) if record.log.experiment.joint in (None, joint)]
     part = start.objective.select_records(*own) if own else start.objective
+    at_start = part.cost(start.z)
     ratio = 1.0
     for grid in (_stiffness_ratios(part, start.z, joint), _REFINEMENT):
         ratios = [ratio * one for one in grid]
         scaled = (part.replace_unknowns(_scale_stiffness(part.space, joint, r)) for r in ratios)
-        found = ((each.cost(start.z), one) for each, one in zip(scaled, ratios, strict=True))
-        costs = {one: cost for cost, one in found if cost is not None}
-        limit = (1.0 + _FLAT_COST_SHARE) * min(costs.values(), default=np.inf)
-        lowest = (one for one, cost in costs.items() if cost <= limit)
-        ratio = min(lowest, key=lambda one: abs(np.log(one / ratio)), default=ratio)
+        found = (each.cost(start.z) for each in scaled)
+        costs = [np.inf if cost is None else cost for cost in found]
+        if at_start is not None and at_start < (1.0 + _FLAT_COST_SHARE) * min(costs):
+            return start
+        ratio = ratios[int(np.argmin(costs))]
     return start.restart(
         start.objective.replace_unknowns(_scale_stiffness(start.space, joint, ratio)), start.z
     )
