@@ -364,11 +364,13 @@ class Objective:
         n_begin, n = len(record.initial_states), len(self.space.unknowns)
         values, slope = self.space.values(z), self.space.slope(z)
         channels, tangent = record.linearise(values, record_parameters[:n_begin], self.space.keys)
-        columns = np.empty(tangent.shape)
-        columns[..., :n_begin] = tangent[..., n:]
-        np.multiply(tangent[..., :n], np.diagonal(slope), out=columns[..., n_begin:])
-        for upper, lower in zip(*np.nonzero(slope - np.diag(np.diagonal(slope))), strict=True):
-            columns[..., n_begin + lower] += slope[upper, lower] * tangent[..., upper]
+        shared, factors = tangent[..., :n], np.diagonal(slope)  # changed in place: it is large
+        pairs = zip(*np.nonzero(slope - np.diag(factors)), strict=True)
+        added = [(of, slope[value, of] * shared[..., value]) for value, of in pairs]
+        shared *= factors
+        for of, part in added:
+            shared[..., of] += part
+        columns = np.roll(tangent, n_begin, axis=2) if n_begin else tangent
         biases = _spread(record_parameters[n_begin:], record)
         difference = channels + biases - record.advance_measured(values)
         if record.is_counted is not None:  # zero rows carry no information

@@ -223,10 +223,11 @@ class Dataset:
         to_channels = self.filtered_channels if resonates else self._stack_channels
         channels = to_channels(motion, values) + self.step_error_correction
         tangent = to_channels(slopes, values)
+        del runs, slopes  # which have as many numbers as the tangent
         tangent = inputs.by_parameters(tangent, core_directions, simulated)
         scales = self.sensor_scales(values)
         if np.any(scales != 1.0):
-            tangent = tangent * scales[:, None]
+            tangent *= scales[:, None]
         if len(simulated) < len(directions):
             sensor_places = [k for k, key in enumerate(directions) if constant_of(key)]
             keys = [directions[k] for k in sensor_places]
