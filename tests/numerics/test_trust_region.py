@@ -261,6 +261,16 @@ def test_it_ends_where_no_step_helps(tolerance: float, end: SearchEnd) -> None:
     assert 1 < result.evaluations < 100
 
 
+def test_it_ends_where_limited_steps_gain_less_than_the_tolerance() -> None:
+    """A hundred of them would be needed for a gain of one."""
+    problem = Problem(lambda x: x - 100.0)
+    box = Box(np.full(1, 1e3), farthest=1e-5)
+    result = minimise(problem.linearise, np.zeros(1), box, tolerance=1.0, max_evaluations=100)
+    assert result is not None
+    assert result.end is SearchEnd.STALLED
+    assert result.evaluations < 8
+
+
 def test_no_step_increases_the_cost() -> None:
     problem = Problem(two_decays)
     start = np.array([3.0, 4.0, -2.0, 0.1])
