@@ -1,10 +1,9 @@
 """Weak feedback that keeps the simulated motors near their measured angles.
 
 Under gravity an upright link falls, and the error of a simulation by recorded voltages alone grows
-several times in a second: after a record of a few seconds the simulated arm hangs elsewhere than
-the real one, and the objective has many minima. A feedback faster than the fall, and slower than
-the resonances of the gears, removes them. Errors of the model still show in the velocities, damped
-below its bandwidth; the rounding of the encoder enters far below the noise of the channels.
+several times in a second. A feedback faster than the fall, and slower than the resonances of the
+gears, bounds it. Errors of the model still show in the velocities, damped below its bandwidth; the
+rounding of the encoder enters far below the noise of the channels.
 """
 
 from __future__ import annotations
