@@ -33,6 +33,12 @@ _MIN_PREDICTED_TOLERANCES, _MIN_PREDICTED_COST_SHARE = 1000.0, 0.2
 _MAX_STALL_EVALUATIONS = 12
 # smallest ratio of actual to predicted decrease for which a step is accepted
 _MIN_ACCEPTED_GAIN_RATIO = 1e-4
+# If the cost rises by more than this many predicted decreases near a minimum, it is discontinuous at
+# the scale of the step.
+_MAX_RISE = 10.0
+# Initial damping, relative to squared singular values of columns of unit length; that near the
+# minimum.
+_DAMPING, _NEAR_DAMPING = 1e-3, 1e-8
 # Smallest damping, and smallest damping after a rejected step.
 _MIN_DAMPING, _MIN_DAMPING_AFTER_REJECTION = 1e-9, 1e-3
 _STEP_REDUCTION = 0.3  # factor on the trusted step length after a rejected step
@@ -93,7 +99,7 @@ def minimise(
     *,
     tolerance: float,
     relative: float = 0.0,
-    damping: float = 1e-3,
+    near: bool = False,
     max_evaluations: int,
     cost: Callable[[FloatArray], float | None] | None = None,
 ) -> Minimum | None:
@@ -105,11 +111,12 @@ def minimise(
         value. If residuals are in standard deviations, 0.01 corresponds to a tenth of a parameter's
         standard deviation.
     `relative`: Tolerance as a share of the cost, added to `tolerance`.
-    `damping`: Initial damping, relative to squared singular values of columns of unit length. Use a
-        small value if the start is near the minimum.
+    `near`: Whether the start is near the minimum: whole steps are tried first, and the iteration
+        ends where the cost is discontinuous.
     `max_evaluations`: Maximum number of trial points.
-    `cost`: Cost alone, where it takes far less time than `linearise`. After a rejected step, the
-        next ones are often rejected too, so this cost must decrease before they are linearised.
+    `cost`: Cost alone, where it takes far less time than `linearise`. Near the minimum and after a
+        rejected step, steps are often rejected, so this cost must decrease before they are
+        linearised.
 
     Returns None if the problem is not defined at the start.
     """
@@ -117,7 +124,7 @@ def minimise(
     if first is None:
         return None
     current = first
-    growth, trusted_share = 2.0, 1.0
+    damping, growth, trusted_share = _NEAR_DAMPING if near else _DAMPING, 2.0, 1.0
     evaluations, was_rejected = 1, False
     costs: list[float] = []
     while True:
@@ -146,9 +153,13 @@ def minimise(
         evaluations += 1
         gain_ratio = -np.inf
         candidate = None
-        plain_cost = cost(trial) if was_rejected and cost else -np.inf
+        plain_cost = cost(trial) if (near or was_rejected) and cost else -np.inf
         if plain_cost is not None and plain_cost < current.cost:
             candidate = linearise(trial)
+            plain_cost = candidate.cost if candidate else None
+        if near and is_small_gain and plain_cost is not None:
+            if plain_cost - current.cost > _MAX_RISE * max(predicted, tolerance):
+                return Minimum(x, current, evaluations, SearchEnd.STALLED)
         if candidate is not None:
             gain_ratio = (current.cost - candidate.cost) / max(predicted, 1e-300)
         was_rejected = gain_ratio < _MIN_ACCEPTED_GAIN_RATIO

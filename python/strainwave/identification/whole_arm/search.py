@@ -47,7 +47,6 @@ _MAX_DECREASED_RATIO = 0.7
 # is rough, and slow progress would use up the evaluations before the effect is found.
 _MAX_EVALUATIONS_PER_WEIGHTS = 20
 _MAX_CORRECTIONS_AHEAD = 4  # Gauss-Newton steps of a stalled search; one is usual
-_NEAR_DAMPING = 1e-8  # initial damping near the minimum
 _PUBLISHED_TOLERANCE = (
     1e-4  # relative change of cost or coordinates at which tuning as published ends
 )
@@ -151,7 +150,7 @@ def _reweight(fit: Fit, options: WholeArmOptions) -> Fit:
     """Continue a coarse fit with updated weights as long as the errors decrease markedly."""
     fit = replace(fit, objective=fit.objective.update_weights(fit.z))
     for _ in range(_MAX_COARSE_UPDATES):
-        fit = search_minimum(fit, options, relative=COARSE_RELATIVE_TOLERANCE)
+        fit = search_minimum(fit, options, relative=COARSE_RELATIVE_TOLERANCE, near=True)
         updated = fit.objective.update_weights(fit.z)
         is_finished = not fit.end.is_minimum or fit.iterations >= options.max_iterations
         changes = _changes(fit.objective, updated)
@@ -168,7 +167,11 @@ def fine_search(start: Fit, options: WholeArmOptions) -> Fit:
     search and again near the minimum. Call `polish` to complete the search.
     """
     fit = search_minimum(
-        start, options, tolerance=_FINE_TOLERANCE, relative=_INITIAL_RELATIVE_TOLERANCE
+        start,
+        options,
+        tolerance=_FINE_TOLERANCE,
+        relative=_INITIAL_RELATIVE_TOLERANCE,
+        near=True,
     )
     if start.iterations >= options.max_iterations:  # no evaluations are left; only the cost is new
         return replace(fit, iterations=start.iterations, end=SearchEnd.EVALUATION_LIMIT)
@@ -220,7 +223,7 @@ def refine(fit: Fit, options: WholeArmOptions, tolerance: float = COARSE_TOLERAN
             fit,
             options,
             tolerance=tolerance,
-            damping=_NEAR_DAMPING,
+            near=True,
             max_evaluations=_MAX_EVALUATIONS_PER_WEIGHTS,
         )
         if fit.end is SearchEnd.EVALUATION_LIMIT and fit.iterations < options.max_iterations:
@@ -237,7 +240,7 @@ def polish(fit: Fit, options: WholeArmOptions) -> Fit:
     """Complete the search for the minimum with the weights of a refined fit."""
     if not fit.end.is_minimum or fit.iterations >= options.max_iterations:
         return fit
-    return search_minimum(fit, options, tolerance=_FINE_TOLERANCE, damping=_NEAR_DAMPING)
+    return search_minimum(fit, options, tolerance=_FINE_TOLERANCE, near=True)
 
 
 def search_minimum(
@@ -246,13 +249,13 @@ def search_minimum(
     *,
     tolerance: float = COARSE_TOLERANCE,
     relative: float = 0.0,
-    damping: float = 1e-3,
+    near: bool = False,
     max_evaluations: int | None = None,
 ) -> Fit:
     """Minimise the objective of `start` with its current weights, from its iterate.
 
     `max_evaluations` limits the evaluations of this search. See `minimise` for `tolerance`,
-    `relative` and `damping`. Raises `NotIdentifiable` if the arm cannot be simulated at `start`.
+    `relative` and `near`. Raises `NotIdentifiable` if the arm cannot be simulated at `start`.
     """
     n_remaining = options.max_iterations - start.iterations
     evaluation = count(start.iterations + 1)
@@ -269,7 +272,7 @@ def search_minimum(
         start.space,
         tolerance=tolerance,
         relative=relative,
-        damping=damping,
+        near=near,
         max_evaluations=max(
             1, n_remaining if max_evaluations is None else min(n_remaining, max_evaluations)
         ),

@@ -42,7 +42,6 @@ from strainwave.identification.whole_arm.records.preparation import (
     resolutions_of,
     select_usable_records,
 )
-from strainwave.identification.whole_arm.records.tracking import tracked_inertias
 from strainwave.identification.whole_arm.search import Fit, search_minimum
 from strainwave.identification.whole_arm.selection.mountings import select_mountings
 from strainwave.identification.whole_arm.selection.sensor_constants import (
@@ -190,9 +189,7 @@ def _records(
     for record in records:
         _check_link_encoders(record, arm)
     step = 1.0 / (STEPS_PER_PERIOD * cutoff)
-    inertia = None if options.closed_loop else tracked_inertias(joints, arm)
-    long = (coarsen_steps(record, step) for record in records)
-    return records, [replace(record, tracked_inertia=inertia) for record in long]
+    return records, [coarsen_steps(record, step) for record in records]
 
 
 def _scan_uncertain(

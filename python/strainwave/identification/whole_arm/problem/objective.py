@@ -212,6 +212,15 @@ class Objective:
         records = (*self.records[:k], record, *self.records[k + 1 :])
         return replace(self, records=records, memory=_EvaluationCache(record_parameters))
 
+    def initial_state_problem(self, k: int, z: FloatArray) -> Linearised:
+        """Cost and least squares problem in the current record parameters of record k at z.
+
+        Raises `InvalidInput` or `NumericalFailure` if the record cannot be simulated from there.
+        """
+        start = self.memory.record_parameters[k]
+        evaluated = self._evaluate_from(self.records[k], z, start)
+        return evaluated.initial_state_problem(self.weights[k])
+
     def correct_step_error(self, z: FloatArray) -> Objective:
         """Correct the integrator step error of all records at z."""
         evaluated, values = self.evaluate(z), self.space.values(z)

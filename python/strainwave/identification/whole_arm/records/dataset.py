@@ -32,7 +32,6 @@ from strainwave.dynamics.simulation import (
     sensitivities,
     simulate_arms,
 )
-from strainwave.identification.whole_arm.records.tracking import track
 from strainwave.numerics.filters import noise_std
 from strainwave.signals.prepared_record import prepare_record
 from strainwave.signals.recorded_input import hold_torques
@@ -144,8 +143,6 @@ class Dataset:
     is_counted: BoolArray | None = field(default=None, kw_only=True)
     # (n_rows, n_channels) step error at the last correction; None if there was none
     step_error: FloatArray | None = field(default=None, kw_only=True)
-    # (n_joints,) [V s^2/rad] of the motors under feedback from the measured angles; None: none
-    tracked_inertia: FloatArray | None = field(default=None, kw_only=True)
 
     @property
     def initial_states(self) -> tuple[tuple[str, int], ...]:
@@ -438,9 +435,6 @@ class Dataset:
     def _drive_at(self, values: Mapping[Key, float], initial: FloatArray) -> Drive:
         """Inputs of the simulation with torque holds and initial states (n_initial,)."""
         drive = hold_torques(self.drive, self.hold_change, values)
-        if self.tracked_inertia is not None:
-            angle = prepare_record(self.log, self.arm).motor_angle
-            drive = track(drive, angle, self.tracked_inertia)
         if not self.begins_in_motion:
             return drive
         parts = initial.reshape(len(INITIAL_STATES), -1).tolist()

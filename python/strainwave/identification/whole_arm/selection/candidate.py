@@ -61,6 +61,8 @@ _ZERO_BOUND_SHARE = 0.99
 _MIN_COST_REDUCTION = 28.0
 # minimum share of the record's cost that initial states explain; model errors persist
 _MIN_EXPLAINED_SHARE = 0.5
+# maximum share that remains after a linear step to them, which may explain less than a search
+_MAX_REMAINING_SHARE = 0.75
 _MIN_FOLDS = 2  # of a record; the other folds estimate the variance of a channel
 
 
@@ -298,6 +300,10 @@ def _estimate_initial_motion(
     rough_start = replace(free_start, initial_state_tolerance=ROUGH_INITIAL_STATE_TOLERANCE)
     weights = objective.weights[k]
     try:
+        first = free_start.initial_state_problem(0, z[:0])
+        remaining = first.factor[-1, -1] ** 2 / np.sum(first.factor[:, -1] ** 2)
+        if remaining * first.cost > _MAX_REMAINING_SHARE * rest:
+            return None
         (rows,) = rough_start.rows(z[:0])
         min_cost = (1.0 - ROUGH_INITIAL_STATE_TOLERANCE) * rows.cost(weights)
         if min_cost > _MIN_EXPLAINED_SHARE * rest:

@@ -165,8 +165,9 @@ def _with_significant_constants(
     fit: Fit, selection: Selection, min_cost_share: float = 0.0
 ) -> Fit | None:
     """The fit with the constants that reduce the cost significantly, and by a share of it."""
-    estimates = _significant_constants(fit, selection.options, min_cost_share * fit.cost)
-    estimates |= _significant_drifts(fit, selection.options)
+    min_gain = min_cost_share * fit.cost
+    estimates = _significant_constants(fit, selection.options, min_gain)
+    estimates |= _significant_drifts(fit, selection.options, min_gain)
     space = update_prior_trust(add_sensor_constants(fit.space, list(estimates)), selection.arm)
     return fit.with_unknowns(space, estimates) if estimates else None
 
@@ -293,18 +294,20 @@ def _min_significance(key: Key) -> float:
     return _MIN_HOLD_SIGNIFICANCE if is_kind(key, ConstantKind.HOLD) else _MIN_SIGNIFICANCE
 
 
-def _significant_drifts(fit: Fit, options: WholeArmOptions) -> dict[Key, float]:
-    """Significant drifts of sensor biases and their rates.
+def _significant_drifts(fit: Fit, options: WholeArmOptions, min_gain: float) -> dict[Key, float]:
+    """Significant drifts of sensor biases and their rates, if they reduce the cost by `min_gain`.
 
     The weights of the fit count a drift as correlated errors. The standard deviation of a rate
     therefore follows from the residuals minus the drift, and is at least that of the noise: the
     readings of a silent sensor do not even vary.
     """
-    objective, rates = fit.objective, {}
-    for record, rows in zip(objective.records, objective.rows(fit.z), strict=True):
+    objective, rates, gain = fit.objective, {}, 0.0
+    of_records = zip(objective.records, objective.rows(fit.z), objective.weights, strict=True)
+    for record, rows, weights in of_records:
         time = record.since_middle
-        each = zip(record.channels, rows.errors.T, record.noise.tolist(), strict=True)
-        for channel, residual, noise in each:
+        powers = weights.stds**2 * weights.rows_per_error
+        each = zip(record.channels, rows.errors.T, record.noise, powers, strict=True)
+        for channel, residual, noise, power in each:
             key = channel.key(ConstantKind.DRIFT, record.log.name)
             if key is None or not channel.sensor.has_bias or key in objective.space.keys:
                 continue
@@ -316,7 +319,8 @@ def _significant_drifts(fit: Fit, options: WholeArmOptions) -> dict[Key, float]:
             std = size * np.sqrt(estimate_rows_per_error(remaining) / (time @ time))
             if abs(rate) > max(_MIN_SIGNIFICANCE * std, _MIN_DRIFT_RATIO * size / np.max(time)):
                 rates[key] = rate
-    return rates
+                gain += rate**2 * (time @ time) / power
+    return rates if gain >= min_gain else {}
 
 
 def _is_collinear_with_tilt(key: Key, fit: Fit) -> bool:
