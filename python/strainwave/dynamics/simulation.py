@@ -333,8 +333,16 @@ class RecordInputs:
             for by, slope in self.slopes.get(key, {key: 1.0}).items():
                 if by in column:
                     chain[row, column[by]] = slope
-        n = len(directions)
-        return np.concatenate([tangent[..., :n] @ chain, tangent[..., n:]], axis=-1)
+        n, kept = len(directions), len(parameters)
+        result = np.empty((*tangent.shape[:-1], kept + tangent.shape[-1] - n))
+        result[..., kept:] = tangent[..., n:]
+        # most derivatives are those in one direction, so a product with the chain would be wasteful
+        is_same = (np.count_nonzero(chain, axis=0) == 1) & (np.max(chain, axis=0) == 1.0)
+        same, changed = np.flatnonzero(is_same), np.flatnonzero(~is_same)
+        result[..., same] = tangent[..., np.argmax(chain[:, same], axis=0)]
+        used = np.flatnonzero(chain[:, changed].any(axis=1))
+        result[..., changed] = tangent[..., used] @ chain[np.ix_(used, changed)]
+        return result
 
 
 def record_inputs(

@@ -33,14 +33,13 @@ _MIN_PREDICTED_TOLERANCES, _MIN_PREDICTED_COST_SHARE = 1000.0, 0.2
 _MAX_STALL_EVALUATIONS = 12
 # smallest ratio of actual to predicted decrease for which a step is accepted
 _MIN_ACCEPTED_GAIN_RATIO = 1e-4
-# If the cost rises by more than this many predicted decreases near a minimum, it is discontinuous at
-# the scale of the step.
+# If the cost rises by more than this many predicted decreases near a minimum, it is discontinuous
+# at the scale of the step.
 _MAX_RISE = 10.0
-# Initial damping, relative to squared singular values of columns of unit length; that near the
-# minimum.
-_DAMPING, _NEAR_DAMPING = 1e-3, 1e-8
 # Smallest damping, and smallest damping after a rejected step.
 _MIN_DAMPING, _MIN_DAMPING_AFTER_REJECTION = 1e-9, 1e-3
+# Factor on the damping, up to the largest, of a limited step that would increase the cost.
+_DAMPING_GROWTH, _MAX_DAMPING = 4.0, 1.0
 _STEP_REDUCTION = 0.3  # factor on the trusted step length after a rejected step
 _MIN_SINGULAR_VALUE_RATIO = 1e-12  # relative singular value below which a direction is not used
 
@@ -99,6 +98,7 @@ def minimise(
     *,
     tolerance: float,
     relative: float = 0.0,
+    damping: float = 1e-3,
     near: bool = False,
     max_evaluations: int,
     cost: Callable[[FloatArray], float | None] | None = None,
@@ -111,8 +111,10 @@ def minimise(
         value. If residuals are in standard deviations, 0.01 corresponds to a tenth of a parameter's
         standard deviation.
     `relative`: Tolerance as a share of the cost, added to `tolerance`.
-    `near`: Whether the start is near the minimum: whole steps are tried first, and the iteration
-        ends where the cost is discontinuous.
+    `damping`: Initial damping, relative to squared singular values of columns of unit length. Use a
+        small value if the start is near the minimum.
+    `near`: Whether only rough costs keep the start from the minimum: the iteration ends where the
+        cost is discontinuous.
     `max_evaluations`: Maximum number of trial points.
     `cost`: Cost alone, where it takes far less time than `linearise`. Near the minimum and after a
         rejected step, steps are often rejected, so this cost must decrease before they are
@@ -124,7 +126,7 @@ def minimise(
     if first is None:
         return None
     current = first
-    damping, growth, trusted_share = _NEAR_DAMPING if near else _DAMPING, 2.0, 1.0
+    growth, trusted_share = 2.0, 1.0
     evaluations, was_rejected = 1, False
     costs: list[float] = []
     while True:
@@ -132,8 +134,6 @@ def minimise(
         gain, _ = _step(current.factor, 0.0, is_free)
         costs.append(current.cost)
         gain_tolerance = tolerance + relative * current.cost
-        if gain < gain_tolerance:
-            return Minimum(x, current, evaluations, SearchEnd.CONVERGED)
         stalled, is_discontinuous = (
             len(costs) > n and costs[-n - 1] - current.cost < _MAX_STALL_DECREASE * gain_tolerance
             for n in (_STALL_EVALUATIONS, _MAX_STALL_EVALUATIONS)
@@ -141,32 +141,34 @@ def minimise(
         is_small_gain = gain < max(
             _MIN_PREDICTED_TOLERANCES * tolerance, _MIN_PREDICTED_COST_SHARE * current.cost
         )
-        if is_discontinuous or (stalled and is_small_gain):
-            return Minimum(x, current, evaluations, SearchEnd.STALLED)
-        if evaluations >= max_evaluations:
-            return Minimum(x, current, evaluations, SearchEnd.EVALUATION_LIMIT)
         limit = partial(space.limit_step, x, share=trusted_share)
-        predicted, step = _trusted_step(current.factor, damping, is_free, limit)
-        if stalled and not was_rejected and predicted < gain_tolerance:  # of limited steps
-            return Minimum(x, current, evaluations, SearchEnd.STALLED)
+        damping, predicted, step = _descending_step(current.factor, damping, is_free, limit)
+        ends = (
+            (gain < gain_tolerance, SearchEnd.CONVERGED),
+            (is_discontinuous or (stalled and is_small_gain), SearchEnd.STALLED),
+            (evaluations >= max_evaluations, SearchEnd.EVALUATION_LIMIT),
+            # of limited steps
+            (stalled and not was_rejected and predicted < gain_tolerance, SearchEnd.STALLED),
+        )
+        for is_reached, end in ends:
+            if is_reached:
+                return Minimum(x, current, evaluations, end)
         trial = space.move(x, step)
         evaluations += 1
-        gain_ratio = -np.inf
         candidate = None
         plain_cost = cost(trial) if (near or was_rejected) and cost else -np.inf
         if plain_cost is not None and plain_cost < current.cost:
             candidate = linearise(trial)
             plain_cost = candidate.cost if candidate else None
-        if near and is_small_gain and plain_cost is not None:
-            if plain_cost - current.cost > _MAX_RISE * max(predicted, tolerance):
-                return Minimum(x, current, evaluations, SearchEnd.STALLED)
-        if candidate is not None:
-            gain_ratio = (current.cost - candidate.cost) / max(predicted, 1e-300)
-        was_rejected = gain_ratio < _MIN_ACCEPTED_GAIN_RATIO
+        decrease = -np.inf if plain_cost is None else current.cost - plain_cost
+        gain_ratio = decrease / max(predicted, 1e-300)
+        was_rejected = candidate is None or gain_ratio < _MIN_ACCEPTED_GAIN_RATIO
         if candidate is None or was_rejected:
             damping, growth = max(damping * growth, _MIN_DAMPING_AFTER_REJECTION), growth * 2.0
             trusted_share *= _STEP_REDUCTION
-            if abs(predicted) < tolerance:  # no step decreases the cost
+            rise = -decrease / max(abs(predicted), tolerance)
+            is_rough = near and is_small_gain and _MAX_RISE < rise < np.inf
+            if is_rough or abs(predicted) < tolerance:  # no step decreases the cost
                 end = SearchEnd.STALLED if is_small_gain else SearchEnd.NO_DESCENT
                 return Minimum(x, current, evaluations, end)
             continue
@@ -185,13 +187,24 @@ def full_step(at: Linearised, x: FloatArray, space: Space) -> FloatArray:
     return space.move(x, step)
 
 
+def _descending_step(
+    factor: FloatArray, damping: float, free: BoolArray, limit: Callable[[FloatArray], FloatArray]
+) -> tuple[float, float, FloatArray]:
+    """The least damping from the given one whose limited step decreases the cost; gain and step."""
+    while True:
+        predicted, step = _trusted_step(factor, damping, free, limit)
+        if predicted > 0.0 or damping >= _MAX_DAMPING:
+            return damping, predicted, step
+        damping *= _DAMPING_GROWTH
+
+
 def _trusted_step(
     factor: FloatArray, damping: float, free: BoolArray, limit: Callable[[FloatArray], FloatArray]
 ) -> tuple[float, FloatArray]:
     """Damped step with limited components held at their limits; the others are re-optimised.
 
     Truncating a step would leave a narrow valley, so the free components minimise the model given
-    the held ones. The predicted gain may be negative; the damping then increases.
+    the held ones. The predicted gain of large steps may be negative.
     """
     fixed_step = np.zeros(len(free))
     while True:

@@ -46,6 +46,8 @@ _MAX_DECREASED_RATIO = 0.7
 # Maximum evaluations with the same weights near the minimum. If the model lacks an effect, the cost
 # is rough, and slow progress would use up the evaluations before the effect is found.
 _MAX_EVALUATIONS_PER_WEIGHTS = 20
+# initial damping from the minimum with other weights or in longer steps, and that near the minimum
+_REWEIGHTED_DAMPING, _NEAR_DAMPING = 1e-6, 1e-8
 _MAX_CORRECTIONS_AHEAD = 4  # Gauss-Newton steps of a stalled search; one is usual
 _PUBLISHED_TOLERANCE = (
     1e-4  # relative change of cost or coordinates at which tuning as published ends
@@ -150,7 +152,9 @@ def _reweight(fit: Fit, options: WholeArmOptions) -> Fit:
     """Continue a coarse fit with updated weights as long as the errors decrease markedly."""
     fit = replace(fit, objective=fit.objective.update_weights(fit.z))
     for _ in range(_MAX_COARSE_UPDATES):
-        fit = search_minimum(fit, options, relative=COARSE_RELATIVE_TOLERANCE, near=True)
+        fit = search_minimum(
+            fit, options, relative=COARSE_RELATIVE_TOLERANCE, damping=_REWEIGHTED_DAMPING
+        )
         updated = fit.objective.update_weights(fit.z)
         is_finished = not fit.end.is_minimum or fit.iterations >= options.max_iterations
         changes = _changes(fit.objective, updated)
@@ -171,23 +175,23 @@ def fine_search(start: Fit, options: WholeArmOptions) -> Fit:
         options,
         tolerance=_FINE_TOLERANCE,
         relative=_INITIAL_RELATIVE_TOLERANCE,
-        near=True,
+        damping=_REWEIGHTED_DAMPING,
     )
     if start.iterations >= options.max_iterations:  # no evaluations are left; only the cost is new
         return replace(fit, iterations=start.iterations, end=SearchEnd.EVALUATION_LIMIT)
-    for tolerance in (_FINE_TOLERANCE, COARSE_TOLERANCE):
+    for _ in range(2):
         if not fit.end.is_minimum:
             break
         if fit.iterations >= options.max_iterations:
             return replace(fit, end=SearchEnd.EVALUATION_LIMIT)
         corrected = fit.objective.correct_step_error(fit.z).update_weights(fit.z)
-        fit = refine(replace(fit, objective=corrected), options, tolerance)
+        fit = refine(replace(fit, objective=corrected), options)
         if fit.end is SearchEnd.STALLED:
-            fit = _refine_corrected_ahead(fit, options, tolerance)
+            fit = _refine_corrected_ahead(fit, options)
     return fit
 
 
-def _refine_corrected_ahead(fit: Fit, options: WholeArmOptions, tolerance: float) -> Fit:
+def _refine_corrected_ahead(fit: Fit, options: WholeArmOptions) -> Fit:
     """Refine a stalled fit from its Gauss-Newton step, with the step error corrected there.
 
     The correction is exact only where it was computed. Where motors stick, the cost jumps around
@@ -204,17 +208,21 @@ def _refine_corrected_ahead(fit: Fit, options: WholeArmOptions, tolerance: float
             break
         cost = ahead.cost(z)
         fit = replace(fit, iterations=fit.iterations + 1)
-        if cost is None or at.cost - cost < tolerance or fit.iterations >= options.max_iterations:
+        if (
+            cost is None
+            or at.cost - cost < COARSE_TOLERANCE
+            or fit.iterations >= options.max_iterations
+        ):
             break
-        fit = refine(replace(fit, objective=ahead.update_weights(z), z=z), options, tolerance)
+        fit = refine(replace(fit, objective=ahead.update_weights(z), z=z), options)
     return fit
 
 
-def refine(fit: Fit, options: WholeArmOptions, tolerance: float = COARSE_TOLERANCE) -> Fit:
+def refine(fit: Fit, options: WholeArmOptions) -> Fit:
     """Run the last rounds of `fine_search` from a point near the minimum.
 
-    The step error correction is not updated. With the default tolerance the result is within one
-    standard deviation of the minimum, which is sufficient for the model selection.
+    The step error correction is not updated. The result is within one standard deviation of the
+    minimum, which is sufficient for the model selection.
     """
     for _ in range(_MAX_WEIGHT_UPDATES):
         if fit.iterations >= options.max_iterations:
@@ -222,7 +230,7 @@ def refine(fit: Fit, options: WholeArmOptions, tolerance: float = COARSE_TOLERAN
         fit = search_minimum(
             fit,
             options,
-            tolerance=tolerance,
+            damping=_NEAR_DAMPING,
             near=True,
             max_evaluations=_MAX_EVALUATIONS_PER_WEIGHTS,
         )
@@ -240,7 +248,7 @@ def polish(fit: Fit, options: WholeArmOptions) -> Fit:
     """Complete the search for the minimum with the weights of a refined fit."""
     if not fit.end.is_minimum or fit.iterations >= options.max_iterations:
         return fit
-    return search_minimum(fit, options, tolerance=_FINE_TOLERANCE, near=True)
+    return search_minimum(fit, options, tolerance=_FINE_TOLERANCE, damping=_NEAR_DAMPING, near=True)
 
 
 def search_minimum(
@@ -249,13 +257,14 @@ def search_minimum(
     *,
     tolerance: float = COARSE_TOLERANCE,
     relative: float = 0.0,
+    damping: float = 1e-3,
     near: bool = False,
     max_evaluations: int | None = None,
 ) -> Fit:
     """Minimise the objective of `start` with its current weights, from its iterate.
 
-    `max_evaluations` limits the evaluations of this search. See `minimise` for `tolerance`,
-    `relative` and `near`. Raises `NotIdentifiable` if the arm cannot be simulated at `start`.
+    `max_evaluations` limits the evaluations of this search. See `minimise` for the other arguments.
+    Raises `NotIdentifiable` if the arm cannot be simulated at `start`.
     """
     n_remaining = options.max_iterations - start.iterations
     evaluation = count(start.iterations + 1)
@@ -272,6 +281,7 @@ def search_minimum(
         start.space,
         tolerance=tolerance,
         relative=relative,
+        damping=damping,
         near=near,
         max_evaluations=max(
             1, n_remaining if max_evaluations is None else min(n_remaining, max_evaluations)

@@ -125,8 +125,7 @@ def _tested(
 def lengthen_steps(fit: Fit) -> Fit:
     """The fit with long integrator steps, which are sufficient for derivatives by effects."""
     objective = fit.objective.lengthen_steps(fit.z)
-    at = objective.linearise(fit.z)
-    return fit if at is None else replace(fit, objective=objective, cost=at.cost)
+    return fit if objective is fit.objective else replace(fit, objective=objective)
 
 
 def _missing_effects(fit: Fit, arm: Arm) -> list[NamedEffect]:
@@ -339,15 +338,14 @@ class EffectColumns:
         prior_rows = np.concatenate([np.zeros((len(shifts[0]), n_sizes)), *shifts], axis=1)
         width = prior_rows.shape[1]
 
-        def tangent(k: int, _: Evaluation) -> FloatArray:
+        def tangents(k: int, _: Evaluation) -> list[FloatArray]:
             initial = objective.initial_states(k)
-            columns = [
+            return [
                 records[k].linearise(values, initial, keys)[1][..., : len(keys)]
                 for records, values, keys in runs
             ]
-            return np.concatenate(columns, axis=2)
 
-        whole = objective.factor_with_columns(fit.z, width, tangent, prior_rows)
+        whole = objective.factor_with_columns(fit.z, width, tangents, prior_rows)
         if not np.isfinite(whole).all():
             raise NumericalFailure("the derivative by an effect's size overflows")
         stds = [effect_named(one.effect).prior_std for one, keys in sizes.items() for _ in keys]

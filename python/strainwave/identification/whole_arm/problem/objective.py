@@ -247,6 +247,7 @@ class Objective:
             return cached[2]
         rows = self.rows(z)
         record_parameters = [row.record_parameters for row in rows]
+        known = self.replace_unknowns(self.space.fix_values(self.space.values(z)))
 
         def lengthened(k: int, record: Dataset) -> tuple[Dataset, Evaluation]:
             long = lengthen_steps(record)
@@ -254,11 +255,9 @@ class Objective:
             residual = rows[k].errors[:n_rows]
             counted = None if record.is_counted is None else record.is_counted[:n_rows]
             long = replace(long, step_error_correction=np.zeros_like(residual), is_counted=counted)
-            evaluated = self._evaluate_from(long, z, record_parameters[k])
-            if not np.isfinite(evaluated.columns).all():
-                raise NumericalFailure("the derivatives overflow in long steps")
-            long = replace(long, step_error_correction=residual - evaluated.difference)
-            return long, self._cached(replace(evaluated, difference=residual))
+            plain = known._evaluate_from(long, z[:0], record_parameters[k])
+            long = replace(long, step_error_correction=residual - plain.difference)
+            return long, replace(plain.without_derivatives(), difference=residual)
 
         try:
             pairs = self._map_records(lengthened)
@@ -409,21 +408,21 @@ class Objective:
         self,
         z: FloatArray,
         n_columns: int,
-        columns_of: Callable[[int, Evaluation], FloatArray],
+        columns_of: Callable[[int, Evaluation], Sequence[FloatArray]],
         prior_rows: FloatArray | None = None,
     ) -> FloatArray:
         """R of [unknowns, additional columns, residual], with optimal record parameters.
 
         `z` (n_unknowns,) is the end of a search. `columns_of` returns the first of the additional
-        columns (n_rows, n_channels, ...) for a record number and its evaluation; the others are
-        zero in the records. `prior_rows` (n_prior, n_columns) are the rows of these columns in the
-        prior, zero by default.
+        columns, arrays (n_rows, n_channels, ...), for a record number and its evaluation; the
+        others are zero in the records. `prior_rows` (n_prior, n_columns) are the rows of these
+        columns in the prior, zero by default.
 
         R has n_unknowns + n_columns + 1 columns.
         """
 
         def factor(k: int, evaluated: Evaluation) -> FloatArray:
-            columns = np.concatenate([evaluated.columns, columns_of(k, evaluated)], axis=2)
+            columns = np.concatenate([evaluated.columns, *columns_of(k, evaluated)], axis=2)
             extended = replace(evaluated, columns=columns)
             R = extended.weigh(self.weights[k]).factor(MIN_CURVATURE_RATIO)
             missing = np.zeros((len(R), len(self.space.unknowns) + n_columns + 1 - R.shape[1]))
@@ -445,7 +444,7 @@ class Objective:
         self,
         z: FloatArray,
         n_columns: int,
-        columns_of: Callable[[int, Evaluation], FloatArray],
+        columns_of: Callable[[int, Evaluation], Sequence[FloatArray]],
     ) -> tuple[FloatArray, FloatArray]:
         """R of [additional columns, residual] after elimination of the unknowns.
 

@@ -274,8 +274,8 @@ def _significant_mounts(fit: Fit, selection: Selection) -> Mounts:
         return {}
     objective, values = fit.objective.lengthen_steps(fit.z), fit.values
 
-    def columns(k: int, _: Evaluation) -> FloatArray:
-        return mount_changes(objective.records[k], values, objective.initial_states(k), tested)
+    def columns(k: int, _: Evaluation) -> list[FloatArray]:
+        return [mount_changes(objective.records[k], values, objective.initial_states(k), tested)]
 
     projected, target = objective.project_columns(fit.z, n, columns)
     square = np.sum(projected**2, axis=0)

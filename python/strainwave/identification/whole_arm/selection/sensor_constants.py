@@ -259,9 +259,9 @@ def _significant_constants(fit: Fit, options: WholeArmOptions, min_gain: float) 
         return {}
     objective, values, simulated = fit.objective, fit.values, fit.objective.simulate(fit.z)
 
-    def tangent(k: int, _: Evaluation) -> FloatArray:
+    def tangent(k: int, _: Evaluation) -> list[FloatArray]:
         initial = objective.initial_states(k)
-        return objective.records[k].sensor_tangent(simulated[k], values, initial, candidates)
+        return [objective.records[k].sensor_tangent(simulated[k], values, initial, candidates)]
 
     columns, target = objective.project_columns(fit.z, len(candidates), tangent)
     selected: list[int] = []
@@ -299,15 +299,16 @@ def _significant_drifts(fit: Fit, options: WholeArmOptions, min_gain: float) -> 
 
     The weights of the fit count a drift as correlated errors. The standard deviation of a rate
     therefore follows from the residuals minus the drift, and is at least that of the noise: the
-    readings of a silent sensor do not even vary.
+    readings of a silent sensor do not even vary. Over a slow motion, the error of rounding imitates
+    a drift of up to three quarters of the resolution at the ends of a record.
     """
     objective, rates, gain = fit.objective, {}, 0.0
     of_records = zip(objective.records, objective.rows(fit.z), objective.weights, strict=True)
     for record, rows, weights in of_records:
         time = record.since_middle
         powers = weights.stds**2 * weights.rows_per_error
-        each = zip(record.channels, rows.errors.T, record.noise, powers, strict=True)
-        for channel, residual, noise, power in each:
+        each = zip(record.channels, rows.errors.T, record.noise, record.counts, powers, strict=True)
+        for channel, residual, noise, count, power in each:
             key = channel.key(ConstantKind.DRIFT, record.log.name)
             if key is None or not channel.sensor.has_bias or key in objective.space.keys:
                 continue
@@ -317,7 +318,8 @@ def _significant_drifts(fit: Fit, options: WholeArmOptions, min_gain: float) -> 
             remaining = residual + rate * time
             size = max(float(np.std(remaining)), noise)
             std = size * np.sqrt(estimate_rows_per_error(remaining) / (time @ time))
-            if abs(rate) > max(_MIN_SIGNIFICANCE * std, _MIN_DRIFT_RATIO * size / np.max(time)):
+            least = max(_MIN_DRIFT_RATIO * size, count)
+            if abs(rate) > max(_MIN_SIGNIFICANCE * std, least / np.max(time)):
                 rates[key] = rate
                 gain += rate**2 * (time @ time) / power
     return rates if gain >= min_gain else {}
