@@ -354,3 +354,76 @@ def test_a_cliff_ends_the_search_at_its_edge() -> None:
     assert result.evaluations < 60
     assert result.end.is_minimum
     assert 0.4 < result.x[0] <= 0.5
+
+
+def test_near_the_minimum_a_jump_of_the_cost_ends_the_search_without_another_linearisation() -> (
+    None
+):
+    looked_at = []
+
+    def cost(x: FloatArray) -> float:
+        return float((x[0] - 1.0) ** 2 + (50.0 if x[0] > 0.9 else 0.0))
+
+    def linearise(x: FloatArray) -> Linearised:
+        looked_at.append(x)
+        return Linearised(cost(x), np.array([[1.0, float(x[0] - 1.0)], [0.0, 0.0]]))
+
+    ends = {}
+    for near in (False, True):
+        looked_at.clear()
+        result = minimise(
+            linearise,
+            np.array([0.5]),
+            Flat(),
+            tolerance=0.01,
+            damping=1e-8,
+            near=near,
+            max_evaluations=100,
+            cost=cost,
+        )
+        assert result is not None
+        ends[near] = result.end, len(looked_at)
+    assert ends[True] == (SearchEnd.STALLED, 1)
+    assert ends[False][1] > 1
+
+
+def test_steps_that_gain_more_than_predicted_are_lengthened() -> None:
+    """The linearised problem is three times as stiff as the cost, so whole steps are too short."""
+
+    def cost(x: FloatArray) -> float:
+        return float((x[0] - 1.0) ** 2)
+
+    def linearise(x: FloatArray) -> Linearised:
+        gradient = float(x[0] - 1.0)
+        return Linearised(cost(x), np.array([[3.0, gradient / 3.0], [0.0, 0.0]]))
+
+    def evaluations(near: bool) -> int:
+        start, costs = np.array([0.0]), cost if near else None
+        result = minimise(
+            linearise, start, Flat(), tolerance=1e-6, near=near, max_evaluations=100, cost=costs
+        )
+        assert result is not None
+        assert result.end.is_minimum
+        assert result.x[0] == pytest.approx(1.0, abs=0.01)
+        return result.evaluations
+
+    assert evaluations(near=True) < 0.5 * evaluations(near=False)
+
+
+def test_limited_steps_of_a_linear_problem_never_increase_the_cost() -> None:
+    """Of nearly collinear columns, holding one coordinate at its limit can misdirect the others."""
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        A = rng.normal(size=(12, 1)) + 1e-3 * rng.normal(size=(12, 5))
+        b = rng.normal(size=12)
+        problem = Problem(lambda x, A=A, b=b: A @ x - b)  # type: ignore[misc]
+        result = minimise(
+            problem.linearise,
+            np.zeros(5),
+            Box(np.full(5, FAR), 1.0),
+            tolerance=1e-9,
+            damping=1e-9,
+            max_evaluations=20,
+        )
+        assert result is not None
+        assert np.all(np.diff([problem.cost(x) for x in problem.looked_at]) < 0.0)

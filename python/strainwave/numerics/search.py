@@ -33,6 +33,8 @@ _MIN_PREDICTED_TOLERANCES, _MIN_PREDICTED_COST_SHARE = 1000.0, 0.2
 _MAX_STALL_EVALUATIONS = 12
 # smallest ratio of actual to predicted decrease for which a step is accepted
 _MIN_ACCEPTED_GAIN_RATIO = 1e-4
+# Ratio of actual to predicted decrease above which a longer step is tried.
+_MIN_LONGER_GAIN_RATIO = 1.5
 # If the cost rises by more than this many predicted decreases near a minimum, it is discontinuous
 # at the scale of the step.
 _MAX_RISE = 10.0
@@ -153,14 +155,15 @@ def minimise(
         for is_reached, end in ends:
             if is_reached:
                 return Minimum(x, current, evaluations, end)
-        trial = space.move(x, step)
-        evaluations += 1
-        candidate = None
-        plain_cost = cost(trial) if (near or was_rejected) and cost else -np.inf
-        if plain_cost is not None and plain_cost < current.cost:
+        evaluations, candidate = evaluations + 1, None
+        trial, plain_cost = space.move(x, step), -np.inf
+        if cost and (near or was_rejected):
+            least_cost = current.cost - _MIN_LONGER_GAIN_RATIO * predicted
+            trial, plain_cost = _try_step(cost, partial(space.move, x), step, limit, least_cost)
+        if plain_cost < current.cost:
             candidate = linearise(trial)
-            plain_cost = candidate.cost if candidate else None
-        decrease = -np.inf if plain_cost is None else current.cost - plain_cost
+            plain_cost = candidate.cost if candidate else np.inf
+        decrease = current.cost - plain_cost
         gain_ratio = decrease / max(predicted, 1e-300)
         was_rejected = candidate is None or gain_ratio < _MIN_ACCEPTED_GAIN_RATIO
         if candidate is None or was_rejected:
@@ -185,6 +188,28 @@ def full_step(at: Linearised, x: FloatArray, space: Space) -> FloatArray:
     is_free = ~space.at_bounds(x, at.factor[:, :-1].T @ at.factor[:, -1])
     _, step = _trusted_step(at.factor, 0.0, is_free, partial(space.limit_step, x, share=1.0))
     return space.move(x, step)
+
+
+def _try_step(
+    cost: Callable[[FloatArray], float | None],
+    move: Callable[[FloatArray], FloatArray],
+    step: FloatArray,
+    limit: Callable[[FloatArray], FloatArray],
+    least_cost: float,
+) -> tuple[FloatArray, float]:
+    """Point (n,) after a step, and its cost; infinite where it is not defined.
+
+    A step to less than `least_cost` is doubled as long as the cost decreases: in some curved
+    valleys all steps are too short.
+    """
+    trial, found = move(step), cost(move(step))
+    while found is not None and found < least_cost:
+        longer = 2.0 * step
+        longer_cost = cost(move(longer)) if np.array_equal(limit(longer), longer) else None
+        if longer_cost is None or longer_cost >= found:
+            break
+        trial, found, step = move(longer), longer_cost, longer
+    return trial, np.inf if found is None else found
 
 
 def _descending_step(

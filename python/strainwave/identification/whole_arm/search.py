@@ -198,8 +198,10 @@ def _refine_corrected_ahead(fit: Fit, options: WholeArmOptions) -> Fit:
     that point, and a search stalls there although the exact cost decreases.
     """
     for _ in range(_MAX_CORRECTIONS_AHEAD):
+        if fit.end is not SearchEnd.STALLED:
+            break
         at = fit.objective.linearise(fit.z)
-        if fit.end is not SearchEnd.STALLED or at is None:
+        if at is None:
             break
         z = full_step(at, fit.z, fit.space)
         try:

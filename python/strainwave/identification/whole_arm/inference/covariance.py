@@ -29,6 +29,9 @@ differentiated, quantised angle rises with the square of the frequency. At the r
 error can thus exceed the noise many times although its share in the total power is small. A model
 error depends on the same motion as the derivatives, so neither spectra nor segments show how far it
 averages out: its share of the variance is at least that of the local one.
+
+Two engines differ by 1e-4 of an inertia or stiffness, however small the noise: no standard
+deviation of a positive parameter is smaller.
 """
 
 from __future__ import annotations
@@ -53,6 +56,9 @@ MIN_VARIANCE_SHARE = 1e-3
 
 Residuals contain no errors of parameters that no record identifies.
 """
+
+SIMULATION_ERROR = 1e-4
+"""Standard deviation of a positive parameter by errors of simulations, relative to its value."""
 
 _MIN_INFORMATION = 1e-30  # information of a parameter that no record depends on
 _MIN_VARIANCE_RATIO = 1e-6  # lower limit of a variance of prior residuals, relative to the prior
@@ -149,6 +155,9 @@ def confidence_at(objective: Objective, z: FloatArray) -> Confidence:
         quantile_ratio = (student_quantile(0.975, n_records - 1) / CI95_STDS) ** 2
         excess = np.maximum(np.diag(scatter) - raised, 0.0) * quantile_ratio
         model_error = model_error + excess * (1.0 - 1.0 / pooled)
+    is_positive = np.array([not unknown.signed for unknown in space.unknowns])
+    values = np.where(is_positive, space.parameters(z), 0.0)
+    model_error = model_error + (SIMULATION_ERROR * values) ** 2
     by_segments, by_steady_errors = (
         residual_covariance(prior.errors, rows @ answer, rows, meat)
         for meat in (segment_meat, steady_meat)
