@@ -10,6 +10,7 @@ import pytest
 from scipy.signal import lfilter
 
 from strainwave.domain import FloatArray
+from strainwave.identification.whole_arm.inference import covariance
 from strainwave.identification.whole_arm.inference.covariance import Confidence, confidence_at
 from strainwave.identification.whole_arm.inference.parameter_estimates import only_together
 from strainwave.identification.whole_arm.problem.objective import Objective
@@ -70,6 +71,25 @@ def solved(objective: Objective) -> FloatArray:
         if np.max(np.abs(step)) < 1e-12:
             break
     return np.asarray(z)
+
+
+def test_errors_of_simulations_widen_the_intervals_of_positive_parameters(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    objective = objective_of(
+        [table_of(1)], [np.random.default_rng(2).normal(0.0, 0.1, (N, 1))], FAR
+    )
+    positive, *signed = objective.space.unknowns
+    space = replace(objective.space, unknowns=(replace(positive, signed=False), *signed))
+    z = solved(objective)
+    value = abs(space.parameters(z)[0])
+    stds = []
+    for share in (0.0, 0.5):
+        monkeypatch.setattr(covariance, "SIMULATION_ERROR", share)
+        combined = confidence_at(objective.replace_unknowns(space), z).combined
+        stds.append(np.sqrt(np.diag(combined)))
+    assert stds[1][0] == pytest.approx(np.hypot(stds[0][0], 0.5 * value))
+    assert np.array_equal(stds[1][1:], stds[0][1:])
 
 
 def least_squares(table: FloatArray, error: FloatArray) -> FloatArray:

@@ -18,7 +18,12 @@ from strainwave.dynamics.link_sensors import shift_samples
 from strainwave.identification.whole_arm import fit_whole_arm
 from strainwave.identification.whole_arm.problem.parameter_space import is_held
 from strainwave.identification.whole_arm.records.preparation import dataset_of
-from strainwave.identification.whole_arm.selection.sensor_constants import constants_of
+from strainwave.identification.whole_arm.search import Fit
+from strainwave.identification.whole_arm.selection.sensor_constants import (
+    constants_of,
+    significant_drifts,
+)
+from strainwave.identification.whole_arm.start import prepare_start
 from tuning_runs import joint_models, rigid_model, shaken
 
 FACTORS = np.random.default_rng(0).choice([-1.0, 1.0], size=(2, 6))
@@ -225,6 +230,22 @@ def test_sensor_drifts_are_corrected() -> None:
     drift_warnings = [c for c in model.warnings if c.code == "sensor-drift"]
     assert [c.message.split()[1] for c in drift_warnings] == list(RATES)
     assert "the accelerometer drifts by 1.2" in drift_warnings[0].message
+
+
+def test_neither_rounding_nor_little_gain_makes_a_drift_significant() -> None:
+    study, true_values, _ = shaken()
+    joints = joint_models(study, true_values, 0.0, FACTORS)
+    rigid, options = rigid_model(study, true_values, 0.01, 1.0), WholeArmOptions()
+    start = prepare_start(drifting(RATES), rigid, (joints,), Arm.of(study.arm), options, None)
+    objective, z = start.coarse.objective, start.coarse.space.coordinates(true_values)
+    fit = Fit.at(objective.update_weights(z), z)
+    assert set(significant_drifts(fit, options, 0.0)) == {
+        (of_record("accelerometer_drift", name), 1) for name in RATES
+    }
+    assert not significant_drifts(fit, options, np.inf)
+    coarse = [replace(one, counts=(1.0,) * len(one.channels)) for one in objective.records]
+    rounded = Fit.at(fit.objective.replace_records(coarse), z)
+    assert not significant_drifts(rounded, options, 0.0)
 
 
 @pytest.mark.parametrize(

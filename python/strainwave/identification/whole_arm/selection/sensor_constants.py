@@ -167,7 +167,7 @@ def _with_significant_constants(
     """The fit with the constants that reduce the cost significantly, and by a share of it."""
     min_gain = min_cost_share * fit.cost
     estimates = _significant_constants(fit, selection.options, min_gain)
-    estimates |= _significant_drifts(fit, selection.options, min_gain)
+    estimates |= significant_drifts(fit, selection.options, min_gain)
     space = update_prior_trust(add_sensor_constants(fit.space, list(estimates)), selection.arm)
     return fit.with_unknowns(space, estimates) if estimates else None
 
@@ -294,7 +294,7 @@ def _min_significance(key: Key) -> float:
     return _MIN_HOLD_SIGNIFICANCE if is_kind(key, ConstantKind.HOLD) else _MIN_SIGNIFICANCE
 
 
-def _significant_drifts(fit: Fit, options: WholeArmOptions, min_gain: float) -> dict[Key, float]:
+def significant_drifts(fit: Fit, options: WholeArmOptions, min_gain: float) -> dict[Key, float]:
     """Significant drifts of sensor biases and their rates, if they reduce the cost by `min_gain`.
 
     The weights of the fit count a drift as correlated errors. The standard deviation of a rate
