@@ -104,16 +104,21 @@ class Loops:
 
         def judge_part(part: IntArray) -> list[tuple[Margins, LoopBand]]:
             responses = self.responses(np.append(0, part))  # bands begin with the estimates
-            loops = np.moveaxis(effective_plants(responses, controllers) * controllers, 2, 0)
+            loops = self.open_loops(responses, controllers)
             return [
-                (margins_of(each[1:], self.omega), LoopBand.of(each, self.omega))
-                for each in np.ascontiguousarray(loops)
+                (margins_of(each[1:], self.omega), LoopBand.of(each, self.omega)) for each in loops
             ]
 
         parts = run_parallel([partial(judge_part, p) for p in np.array_split(plants, n_parts)])
         margins_and_bands = (zip(*pairs, strict=True) for pairs in zip(*parts, strict=True))
         bands = ("gain_db", "phase_deg", "distance")
         return [(join(m), join(b, "frequency_hz", bands)) for m, b in margins_and_bands]
+
+    @staticmethod
+    def open_loops(responses: ComplexArray, controllers: ComplexArray) -> ComplexArray:
+        """Loops (n_joints, n_plants, n_omega) of plants, the other loops closed."""
+        loops = np.moveaxis(effective_plants(responses, controllers) * controllers, 2, 0)
+        return np.ascontiguousarray(loops)
 
 
 def tune_cascades(
@@ -200,16 +205,20 @@ class _Tuner:
         def closed(candidate: Gains) -> ClosedLoop:
             return close(sampled, [*laws[:joint], candidate.law(), *laws[joint + 1 :]], joint)
 
-        def keeps(candidate: Gains) -> bool:  # its margins, and all plants are stable
+        def has_margins(candidate: Gains) -> bool:
             margins = margins_of(plant * candidate.response(loops.z), loops.omega)
-            if margins.share(self.required).min() < 1.0:
-                return False
-            return bool(np.abs(closed(candidate).poles()).max() < 1.0)
+            return bool(margins.share(self.required).min() >= 1.0)
+
+        def keeps(candidate: Gains) -> bool:  # its margins, and all plants are stable
+            return has_margins(candidate) and bool(np.abs(closed(candidate).poles()).max() < 1.0)
 
         best, self.bandwidth, self.limit = gains[joint], 0.0, "margins"
         encoder = self.max_kp / self.inertia
         for make in self._filters(search):
-            reached = self._largest_bandwidth(keeps, make, encoder)
+            # poles take longer than margins, which hold in few unstable loops
+            reached = self._largest_bandwidth(has_margins, make, encoder)
+            if reached and not keeps(self.gains(reached, make(reached))):
+                reached = self._largest_bandwidth(keeps, make, encoder)
             if reached > self.bandwidth * (_MIN_GAIN if self.bandwidth else 1.0):
                 self.bandwidth, best = reached, self.gains(reached, make(reached))
                 self.limit = "encoder" if reached * _COARSE_STEP**0.25 > encoder else "margins"

@@ -18,12 +18,12 @@ from itertools import product
 
 import numpy as np
 
-from strainwave.domain import ControlLaw, FloatArray, IntArray
+from strainwave.domain import ComplexArray, ControlLaw, FloatArray, IntArray
 from strainwave.domain.arm.description import MAX_LAW_STATES
 from strainwave.domain.keys import JointNumber
 from strainwave.tune.cascade_tuning import Loops
 from strainwave.tune.closed_loop import Gains, SampledPlants, are_stable, close
-from strainwave.tune.margins import Margins, Requirements
+from strainwave.tune.margins import Margins, Requirements, margins_of
 from strainwave.tune.observer import Observer
 
 MIN_RATIO = 1.1
@@ -167,6 +167,13 @@ class _GainSearch:
             ratios = self.dampings(chosen, laws)
             return float(ratios.min() + _MEAN_WEIGHT * ratios.mean())
 
+        responses, omega = self.loops.responses(chosen), self.loops.omega
+
+        def keeps(laws: Sequence[ControlLaw]) -> bool:  # its margins
+            loops = self.loops.open_loops(responses, self.feedbacks(laws))
+            margins = (margins_of(each, omega) for each in loops)
+            return all(each.share(self.required).min() >= 1.0 for each in margins)
+
         pairs: list[Pair] = [(0.0, 0.0)] * len(self.observers)
         largest = objective_of(self.plain)
         for k in range(len(self.observers)):
@@ -175,8 +182,7 @@ class _GainSearch:
                 laws = self.laws(trial)
                 if (objective := objective_of(laws)) <= largest:
                     continue
-                margins = self.margins(chosen, laws)
-                if min(each.share(self.required).min() for each in margins) >= 1.0:
+                if keeps(laws):
                     pairs, largest = trial, objective
         return pairs
 
@@ -204,8 +210,11 @@ class _GainSearch:
 
     def margins(self, chosen: IntArray, laws: Sequence[ControlLaw]) -> list[Margins]:
         """Margins of the loops of all joints."""
-        closed = np.stack([each.feedback(self.loops.z) for each in laws], axis=1)
-        return [margins for margins, _ in self.loops.judge(closed, chosen)]
+        return [margins for margins, _ in self.loops.judge(self.feedbacks(laws), chosen)]
+
+    def feedbacks(self, laws: Sequence[ControlLaw]) -> ComplexArray:
+        """Responses (n_omega, n_joints) from motor angles to minus voltages."""
+        return np.stack([each.feedback(self.loops.z) for each in laws], axis=1)
 
 
 def _least_and_median(ratios: FloatArray) -> Pair:
