@@ -369,7 +369,7 @@ def test_near_the_minimum_a_jump_of_the_cost_ends_the_search_without_another_lin
         return Linearised(cost(x), np.array([[1.0, float(x[0] - 1.0)], [0.0, 0.0]]))
 
     ends = {}
-    for near in (False, True):
+    for rough in (False, True):
         looked_at.clear()
         result = minimise(
             linearise,
@@ -377,14 +377,16 @@ def test_near_the_minimum_a_jump_of_the_cost_ends_the_search_without_another_lin
             Flat(),
             tolerance=0.01,
             damping=1e-8,
-            near=near,
+            near=True,
+            rough=rough,
             max_evaluations=100,
             cost=cost,
         )
         assert result is not None
-        ends[near] = result.end, len(looked_at)
-    assert ends[True] == (SearchEnd.STALLED, 1)
-    assert ends[False][1] > 1
+        assert len(looked_at) == 1
+        ends[rough] = result.end, result.evaluations
+    assert ends[True] == (SearchEnd.STALLED, 2)
+    assert ends[False][1] > 2
 
 
 def test_steps_that_gain_more_than_predicted_are_lengthened() -> None:

@@ -337,9 +337,9 @@ class RecordInputs:
         result = np.empty((*tangent.shape[:-1], kept + tangent.shape[-1] - n))
         result[..., kept:] = tangent[..., n:]
         # most derivatives are those in one direction, so a product with the chain would be wasteful
-        is_same = (np.count_nonzero(chain, axis=0) == 1) & (np.max(chain, axis=0) == 1.0)
+        is_same = (np.count_nonzero(chain, axis=0) == 1) & (np.sum(chain, axis=0) == 1.0)
         same, changed = np.flatnonzero(is_same), np.flatnonzero(~is_same)
-        result[..., same] = tangent[..., np.argmax(chain[:, same], axis=0)]
+        result[..., same] = tangent[..., np.nonzero(chain.T[same])[1]]
         used = np.flatnonzero(chain[:, changed].any(axis=1))
         result[..., changed] = tangent[..., used] @ chain[np.ix_(used, changed)]
         return result

@@ -35,8 +35,8 @@ _MAX_STALL_EVALUATIONS = 12
 _MIN_ACCEPTED_GAIN_RATIO = 1e-4
 # Ratio of actual to predicted decrease above which a longer step is tried.
 _MIN_LONGER_GAIN_RATIO = 1.5
-# If the cost rises by more than this many predicted decreases near a minimum, it is discontinuous
-# at the scale of the step.
+# If the cost rises by more than this many predicted decreases, it is discontinuous at the scale of
+# the step.
 _MAX_RISE = 10.0
 # Smallest damping, and smallest damping after a rejected step.
 _MIN_DAMPING, _MIN_DAMPING_AFTER_REJECTION = 1e-9, 1e-3
@@ -102,6 +102,7 @@ def minimise(
     relative: float = 0.0,
     damping: float = 1e-3,
     near: bool = False,
+    rough: bool = False,
     max_evaluations: int,
     cost: Callable[[FloatArray], float | None] | None = None,
 ) -> Minimum | None:
@@ -115,8 +116,8 @@ def minimise(
     `relative`: Tolerance as a share of the cost, added to `tolerance`.
     `damping`: Initial damping, relative to squared singular values of columns of unit length. Use a
         small value if the start is near the minimum.
-    `near`: Whether only rough costs keep the start from the minimum: the iteration ends where the
-        cost is discontinuous.
+    `near`: Whether the start is near the minimum, so that steps are often rejected.
+    `rough`: Whether the iteration ends where the cost is discontinuous at the scale of a step.
     `max_evaluations`: Maximum number of trial points.
     `cost`: Cost alone, where it takes far less time than `linearise`. Near the minimum and after a
         rejected step, steps are often rejected, so this cost must decrease before they are
@@ -170,7 +171,7 @@ def minimise(
             damping, growth = max(damping * growth, _MIN_DAMPING_AFTER_REJECTION), growth * 2.0
             trusted_share *= _STEP_REDUCTION
             rise = -decrease / max(abs(predicted), tolerance)
-            is_rough = near and is_small_gain and _MAX_RISE < rise < np.inf
+            is_rough = rough and is_small_gain and _MAX_RISE < rise < np.inf
             if is_rough or abs(predicted) < tolerance:  # no step decreases the cost
                 end = SearchEnd.STALLED if is_small_gain else SearchEnd.NO_DESCENT
                 return Minimum(x, current, evaluations, end)

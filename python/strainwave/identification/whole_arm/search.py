@@ -46,8 +46,7 @@ _MAX_DECREASED_RATIO = 0.7
 # Maximum evaluations with the same weights near the minimum. If the model lacks an effect, the cost
 # is rough, and slow progress would use up the evaluations before the effect is found.
 _MAX_EVALUATIONS_PER_WEIGHTS = 20
-# initial damping from the minimum with other weights or in longer steps, and that near the minimum
-_REWEIGHTED_DAMPING, _NEAR_DAMPING = 1e-6, 1e-8
+_NEAR_DAMPING = 1e-8  # initial damping near the minimum
 _MAX_CORRECTIONS_AHEAD = 4  # Gauss-Newton steps of a stalled search; one is usual
 _PUBLISHED_TOLERANCE = (
     1e-4  # relative change of cost or coordinates at which tuning as published ends
@@ -152,9 +151,7 @@ def _reweight(fit: Fit, options: WholeArmOptions) -> Fit:
     """Continue a coarse fit with updated weights as long as the errors decrease markedly."""
     fit = replace(fit, objective=fit.objective.update_weights(fit.z))
     for _ in range(_MAX_COARSE_UPDATES):
-        fit = search_minimum(
-            fit, options, relative=COARSE_RELATIVE_TOLERANCE, damping=_REWEIGHTED_DAMPING
-        )
+        fit = search_minimum(fit, options, relative=COARSE_RELATIVE_TOLERANCE)
         updated = fit.objective.update_weights(fit.z)
         is_finished = not fit.end.is_minimum or fit.iterations >= options.max_iterations
         changes = _changes(fit.objective, updated)
@@ -171,27 +168,23 @@ def fine_search(start: Fit, options: WholeArmOptions) -> Fit:
     search and again near the minimum. Call `polish` to complete the search.
     """
     fit = search_minimum(
-        start,
-        options,
-        tolerance=_FINE_TOLERANCE,
-        relative=_INITIAL_RELATIVE_TOLERANCE,
-        damping=_REWEIGHTED_DAMPING,
+        start, options, tolerance=_FINE_TOLERANCE, relative=_INITIAL_RELATIVE_TOLERANCE
     )
     if start.iterations >= options.max_iterations:  # no evaluations are left; only the cost is new
         return replace(fit, iterations=start.iterations, end=SearchEnd.EVALUATION_LIMIT)
-    for _ in range(2):
+    for tolerance in (_FINE_TOLERANCE, COARSE_TOLERANCE):
         if not fit.end.is_minimum:
             break
         if fit.iterations >= options.max_iterations:
             return replace(fit, end=SearchEnd.EVALUATION_LIMIT)
         corrected = fit.objective.correct_step_error(fit.z).update_weights(fit.z)
-        fit = refine(replace(fit, objective=corrected), options)
+        fit = refine(replace(fit, objective=corrected), options, tolerance)
         if fit.end is SearchEnd.STALLED:
-            fit = _refine_corrected_ahead(fit, options)
+            fit = _refine_corrected_ahead(fit, options, tolerance)
     return fit
 
 
-def _refine_corrected_ahead(fit: Fit, options: WholeArmOptions) -> Fit:
+def _refine_corrected_ahead(fit: Fit, options: WholeArmOptions, tolerance: float) -> Fit:
     """Refine a stalled fit from its Gauss-Newton step, with the step error corrected there.
 
     The correction is exact only where it was computed. Where motors stick, the cost jumps around
@@ -210,21 +203,17 @@ def _refine_corrected_ahead(fit: Fit, options: WholeArmOptions) -> Fit:
             break
         cost = ahead.cost(z)
         fit = replace(fit, iterations=fit.iterations + 1)
-        if (
-            cost is None
-            or at.cost - cost < COARSE_TOLERANCE
-            or fit.iterations >= options.max_iterations
-        ):
+        if cost is None or at.cost - cost < tolerance or fit.iterations >= options.max_iterations:
             break
-        fit = refine(replace(fit, objective=ahead.update_weights(z), z=z), options)
+        fit = refine(replace(fit, objective=ahead.update_weights(z), z=z), options, tolerance)
     return fit
 
 
-def refine(fit: Fit, options: WholeArmOptions) -> Fit:
+def refine(fit: Fit, options: WholeArmOptions, tolerance: float = COARSE_TOLERANCE) -> Fit:
     """Run the last rounds of `fine_search` from a point near the minimum.
 
-    The step error correction is not updated. The result is within one standard deviation of the
-    minimum, which is sufficient for the model selection.
+    The step error correction is not updated. With the default tolerance the result is within one
+    standard deviation of the minimum, which is sufficient for the model selection.
     """
     for _ in range(_MAX_WEIGHT_UPDATES):
         if fit.iterations >= options.max_iterations:
@@ -232,6 +221,7 @@ def refine(fit: Fit, options: WholeArmOptions) -> Fit:
         fit = search_minimum(
             fit,
             options,
+            tolerance=tolerance,
             damping=_NEAR_DAMPING,
             near=True,
             max_evaluations=_MAX_EVALUATIONS_PER_WEIGHTS,
@@ -250,7 +240,9 @@ def polish(fit: Fit, options: WholeArmOptions) -> Fit:
     """Complete the search for the minimum with the weights of a refined fit."""
     if not fit.end.is_minimum or fit.iterations >= options.max_iterations:
         return fit
-    return search_minimum(fit, options, tolerance=_FINE_TOLERANCE, damping=_NEAR_DAMPING, near=True)
+    return search_minimum(
+        fit, options, tolerance=_FINE_TOLERANCE, damping=_NEAR_DAMPING, near=True, rough=True
+    )
 
 
 def search_minimum(
@@ -261,6 +253,7 @@ def search_minimum(
     relative: float = 0.0,
     damping: float = 1e-3,
     near: bool = False,
+    rough: bool = False,
     max_evaluations: int | None = None,
 ) -> Fit:
     """Minimise the objective of `start` with its current weights, from its iterate.
@@ -285,6 +278,7 @@ def search_minimum(
         relative=relative,
         damping=damping,
         near=near,
+        rough=rough,
         max_evaluations=max(
             1, n_remaining if max_evaluations is None else min(n_remaining, max_evaluations)
         ),

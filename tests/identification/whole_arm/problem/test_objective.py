@@ -120,12 +120,15 @@ def test_the_gradient_is_that_of_the_cost(spring: str) -> None:
         assert abs(difference - gradient[k]) < tolerance, objective.space.unknowns[k]
 
 
+@pytest.mark.parametrize("moving", [False, True])
 @pytest.mark.parametrize("spring", ["linear", "three-slope"])
 def test_derivatives_that_are_not_kept_are_computed_again(
-    spring: str, monkeypatch: pytest.MonkeyPatch
+    spring: str, monkeypatch: pytest.MonkeyPatch, *, moving: bool
 ) -> None:
     kept, z = near_truth(spring)
     dropped, _ = near_truth(spring)
+    if moving:
+        kept, dropped = kept.add_initial_states(0), dropped.add_initial_states(0)
 
     def results_of(objective: Objective) -> list[FloatArray]:
         fit = Fit.at(objective, z)
@@ -136,6 +139,8 @@ def test_derivatives_that_are_not_kept_are_computed_again(
             factor.T @ factor,
             *columns,
             *errors,
+            *(rows.errors for rows in objective.update_weights(z).rows(z)),
+            *(rows.errors for rows in objective.lengthen_steps(z).rows(z)),
             confidence_at(objective, z).combined,
             held_out_scores([fit]),
         ]

@@ -42,12 +42,13 @@ class Evaluation:
     biased: tuple[int, ...]  # channels with a bias
     # (n_rows, n_channels) False where rows are zero, because they contain masked samples
     is_counted: BoolArray | None = None
-    is_differentiated: bool = True  # False: the columns are missing
+    is_differentiated: bool = True  # False: the columns of the shared unknowns are missing
 
     def without_derivatives(self) -> Evaluation:
-        """The residuals alone."""
-        none = np.empty((*self.difference.shape, 0))
-        return replace(self, columns=none, is_differentiated=False)
+        """The residuals, and the columns of the initial states alone."""
+        return replace(
+            self, columns=self.columns[..., : self.n_initial].copy(), is_differentiated=False
+        )
 
     @property
     def n_initial(self) -> int:
