@@ -129,6 +129,7 @@ def identify(
     accept: Accepted = None,
     as_published: Annotated[bool, _option("identify.as-published", "--as-published")] = False,
     start: Annotated[Path | None, _option("identify.start")] = None,
+    scheduler: Annotated[str | None, _option("identify.scheduler")] = None,
     figures: Figures = False,
     quiet: Quiet = False,
 ) -> None:
@@ -155,6 +156,7 @@ def identify(
             or None,
             start=start,
             progress=pipeline.with_report_loading(report),
+            scheduler=scheduler,
         )
         pipeline.write(identification, out, figures=figures, progress=report)
     if not quiet:

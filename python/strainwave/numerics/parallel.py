@@ -11,7 +11,10 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from typing import TypeVar, cast
+from typing import TYPE_CHECKING, TypeVar, cast
+
+if TYPE_CHECKING:
+    from strainwave.numerics.dask_cluster import Cluster
 
 Result = TypeVar("Result")
 First = TypeVar("First")
@@ -31,6 +34,13 @@ def one_blas_thread() -> Iterator[None]:
 
     with threadpool_limits(limits=1, user_api="blas"):
         yield
+
+
+def limit_blas_to_one_thread() -> None:
+    """The same until the process ends."""
+    from threadpoolctl import threadpool_limits
+
+    threadpool_limits(limits=1, user_api="blas")
 
 
 def configure_process() -> None:
@@ -69,8 +79,10 @@ class _JobGroup:
         parent: _JobGroup | None,
         threads: int | None,
         cancelled: Callable[[], bool] | None = None,
+        cluster: Cluster | None = None,
     ) -> None:
         self.parent = parent
+        self.cluster = cluster or (parent.cluster if parent else None)
         self.threads = threads  # None: number of cores
         self.cancelled = cancelled
         self.stopped = False
@@ -91,22 +103,31 @@ def _group() -> _JobGroup | None:
 
 @contextmanager
 def limited(
-    threads: int | None = None, cancelled: Callable[[], bool] | None = None
+    threads: int | None = None,
+    cancelled: Callable[[], bool] | None = None,
+    cluster: Cluster | None = None,
 ) -> Iterator[None]:
     """Limit the threads of every `run_parallel` in this block, and allow cancellation.
 
     `threads`: Maximum number of threads, including those of nested jobs. None: one thread per core
         in each `run_parallel`.
     `cancelled`: Called at every `raise_if_stopped`; True cancels the work.
+    `cluster`: Cluster for the jobs that can run on one.
 
     Raises `Stopped` after cancellation.
     """
     outer_group = _group()
-    _thread.group = _JobGroup(outer_group, threads, cancelled)
+    _thread.group = _JobGroup(outer_group, threads, cancelled, cluster)
     try:
         yield
     finally:
         _thread.group = outer_group
+
+
+def current_cluster() -> Cluster | None:
+    """The cluster for jobs of this thread; None: threads of this process."""
+    group = _group()
+    return None if group is None else group.cluster
 
 
 def raise_if_stopped() -> None:

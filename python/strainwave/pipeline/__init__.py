@@ -40,6 +40,7 @@ from strainwave.identification.rigid.torque_constants import (
 from strainwave.io.atomic_files import write_whole
 from strainwave.io.logs.arrays import Data
 from strainwave.io.study import read_study, with_options
+from strainwave.numerics.dask_cluster import distributed
 from strainwave.numerics.parallel import limited, one_blas_thread
 from strainwave.pipeline.elastic_arm import fit_elastic_arm
 from strainwave.pipeline.inputs import (
@@ -83,6 +84,7 @@ def identify(
     start: Path | Mapping[Key, float] | None = None,
     progress: Progress = ignore_progress,
     threads: int | None = None,
+    scheduler: str | None = None,
 ) -> Identification:
     """Identify an arm: run the stages on one study.
 
@@ -91,12 +93,14 @@ def identify(
     (stage -> key -> value), or "stage.key=value" as on the command line. `start` has values, or a
     file with values, at which the whole-arm fit starts. `progress` is called with
     a `ProgressEvent` at the start of each part and at each evaluation of the whole-arm fit.
-    `threads` is the number of threads at a time, one per core by default.
+    `threads` is the number of threads at a time, one per core by default. `scheduler` is the
+    address of a Dask scheduler, whose workers evaluate the records of a large whole-arm fit.
 
-    Raises `InvalidInput` if the study, a log or an argument is invalid. Data that do not determine
-    a parameter raise no error: the result has a `verdict`.
+    Raises `InvalidInput` if the study, a log or an argument is invalid, or the cluster fails. Data
+    that do not determine a parameter raise no error: the result has a `verdict`.
     """
-    with one_blas_thread(), limited(threads):  # set once: the limit is shared by all threads
+    # set once: the limit is shared by all threads
+    with one_blas_thread(), distributed(scheduler), limited(threads):
         chosen = check_stages(stages)
         reporter = Reporter(chosen, progress)
         with reporter.time_part("read", "reading the logs"):

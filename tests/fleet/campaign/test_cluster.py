@@ -24,6 +24,7 @@ from strainwave.fleet.campaign.records import RunLimits
 from strainwave.fleet.campaign.runner import CampaignPlan
 from strainwave.fleet.campaign.store import Store
 from strainwave.fleet.campaign.study_files import find
+from strainwave.numerics import dask_cluster
 
 QUIET = {"DASK_DISTRIBUTED__LOGGING__DISTRIBUTED": "error"}
 
@@ -243,7 +244,7 @@ def test_wrong_descriptions_are_refused(text: str, message: str, tmp_path: Path)
 
 
 def test_no_scheduler_at_the_address(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cluster, "_CONNECT_TIMEOUT_S", 0.5)
+    monkeypatch.setattr(dask_cluster, "_CONNECT_TIMEOUT_S", 0.5)
     with (
         pytest.raises(sw.InvalidInput, match="no Dask scheduler answers"),
         cluster.connected("tcp://127.0.0.1:9", None),

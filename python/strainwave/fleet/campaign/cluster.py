@@ -7,25 +7,25 @@ URL from every worker.
 from __future__ import annotations
 
 import importlib
-import logging
 import threading
 import time
 from collections.abc import Generator, Iterable, Iterator
-from concurrent.futures import CancelledError, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import asdict
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from strainwave.errors import InvalidInput, StrainwaveError, import_optional
+from strainwave.errors import InvalidInput
 from strainwave.fleet.campaign.records import FAILED_STATUS, Outcome, RunLimits, Task, now
 from strainwave.fleet.campaign.runner import CampaignPlan, Runner, failed
 from strainwave.fleet.campaign.store import Store
 from strainwave.fleet.campaign.study_files import Case
 from strainwave.io.atomic_files import check_keys, decode, parse_toml, read_bytes
+from strainwave.numerics import dask_cluster
+from strainwave.numerics.dask_cluster import ClusterLost, connected_call, load_client
 
-_CONNECT_TIMEOUT_S = 10.0  # of the scheduler, at the start and after a lost connection
 _POLL_S = 0.05  # between two checks for ended tasks
 _N_PLANNERS = 4  # threads that check which runs are recorded
 _KEYS = ("class", "arguments", "workers")
@@ -34,13 +34,6 @@ _Planned = tuple[Task, datetime]
 """A task, and the time since when it may have been recorded."""
 
 _thread = threading.local()
-
-
-class ClusterLost(StrainwaveError):  # noqa: N818
-    """The scheduler is lost; the same command continues where this one ended."""
-
-    def __init__(self) -> None:
-        super().__init__("the Dask scheduler is lost")
 
 
 def perform(line: str, limits: dict[str, Any], since: str) -> str:
@@ -70,25 +63,11 @@ def connected(scheduler: str | None, description: Path | None) -> Iterator[Any]:
     `arguments` and `workers`. Raises `InvalidInput` if Dask is not installed, the scheduler does
     not answer, or the cluster cannot be created.
     """
-    Client = import_optional("distributed", "a cluster", "dask distributed fsspec").Client
-    for name in list(logging.root.manager.loggerDict):  # `ClusterLost` reports a lost scheduler
-        if name.split(".")[0] in ("distributed", "tornado", "asyncio"):
-            logging.getLogger(name).setLevel(logging.CRITICAL)
+    load_client()  # Dask, before the description
     cluster = None if description is None else _started(description)
     try:
-        try:
-            client = Client(cluster or scheduler, timeout=_CONNECT_TIMEOUT_S, set_as_default=False)
-        except (OSError, ValueError) as error:
-            raise InvalidInput(
-                f"no Dask scheduler answers ({' '.join(str(error).split())})",
-                where=scheduler,
-                remedy="start one by `dask scheduler`, or check the address",
-            ) from error
-        try:
+        with dask_cluster.connected(cluster or scheduler) as client:
             yield client
-        finally:
-            with suppress(Exception):  # a lost scheduler does not answer
-                client.close(timeout=1.0)
     finally:
         if cluster is not None:
             with suppress(Exception):
@@ -139,7 +118,7 @@ def _submit(client: Any, planned: _Planned, limits: RunLimits) -> Any:
     task, since = planned
     key = f"strainwave-{task.run}-{since.timestamp():f}"
     work = perform, task.to_json(), asdict(limits), since.isoformat()
-    with _connected_call(client):
+    with connected_call(client):
         return client.submit(*work, pure=False, key=key)
 
 
@@ -152,23 +131,12 @@ def _next_batch(ended: Any, client: Any, *, wait: bool) -> list[Any]:
     return list(ended.next_batch(block=False))
 
 
-@contextmanager
-def _connected_call(client: Any) -> Iterator[None]:
-    """A call of the scheduler, which may be lost during the call."""
-    try:
-        yield
-    except Exception as error:  # a broken connection is an OSError, a closed client is not
-        if isinstance(error, OSError | CancelledError) or client.status == "closed":
-            raise ClusterLost from error
-        raise
-
-
 def _outcome(planned: _Planned, future: Any, plan: CampaignPlan) -> Outcome:
     """Outcome of a Dask task; a task whose workers died repeatedly is a failed run."""
     from distributed import KilledWorker
 
     if future.status == "finished":
-        with _connected_call(future.client):
+        with connected_call(future.client):
             return Outcome.from_json(future.result())
     if future.status != "error":
         raise ClusterLost

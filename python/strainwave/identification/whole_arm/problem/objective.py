@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
@@ -23,9 +23,12 @@ from strainwave.identification.whole_arm.problem.weighted_rows import Evaluation
 from strainwave.identification.whole_arm.records.dataset import Dataset
 from strainwave.identification.whole_arm.records.preparation import lengthen_steps
 from strainwave.numerics.linalg import triangular_factor
-from strainwave.numerics.parallel import run_parallel
+from strainwave.numerics.parallel import current_cluster, run_parallel
 from strainwave.numerics.search import Flat, Linearised, minimise
 from strainwave.numerics.spectra import estimate_rows_per_error
+
+if TYPE_CHECKING:
+    from strainwave.numerics.dask_cluster import Cluster
 
 MIN_ERROR_SHARE = 1e-3
 """Minimum standard deviation of residuals, as a share of a channel's standard deviation.
@@ -63,6 +66,8 @@ class _EvaluationCache:
     last: tuple[bytes, list[Evaluation]] | None = None
     rows: tuple[bytes, tuple[Weights, ...], list[Rows]] | None = None
     long_steps: tuple[bytes, tuple[Weights, ...], Objective] | None = None
+    # fetches the rows at the last point from the workers of a cluster
+    remote: tuple[bytes, tuple[Weights, ...], Callable[[], list[Rows]]] | None = None
 
 
 @dataclass(frozen=True)
@@ -100,22 +105,18 @@ class Objective:
 
     def linearise(self, z: FloatArray) -> Linearised | None:
         """Cost and least squares problem in the unknowns at z; None if the simulation fails."""
-        min_curvature_ratio = 1.0 if self.has_initial_weights else MIN_CURVATURE_RATIO
+        return self._linearise(z, self._cluster)
 
-        def linearised(k: int, evaluated: Evaluation) -> tuple[Rows, Linearised]:
-            rows, begin = evaluated.weigh(self.weights[k]), self.initial_states(k)
-            # the biases are the start of the next search
-            biases = rows.record_parameters[len(begin) :]
-            self.memory.record_parameters[k] = np.concatenate([begin, biases])
-            part = Linearised(rows.cost(self.weights[k]), rows.factor(min_curvature_ratio))
-            return replace(rows, evaluated=self._cached(evaluated)), part
-
+    def _linearise(self, z: FloatArray, cluster: Cluster | None) -> Linearised | None:
         try:
-            evaluated_records = self._map_evaluated(z, linearised)
+            if cluster is None:
+                pairs = self._map_evaluated(z, self._linearised_record)
+                self.memory.rows = z.tobytes(), self.weights, [rows for _, rows in pairs]
+                parts = [part for part, _ in pairs]
+            else:
+                parts = self._map_on_cluster(cluster, z, Objective._linearised_record)
         except (InvalidInput, NumericalFailure):
             return None
-        self.memory.rows = z.tobytes(), self.weights, [rows for rows, _ in evaluated_records]
-        parts = [part for _, part in evaluated_records]
         cost = sum(part.cost for part in parts)
         slope, prior = self.space.linearise_prior(z)
         stacked = np.concatenate([*(p.factor for p in parts), np.column_stack([slope, prior])])
@@ -123,11 +124,24 @@ class Objective:
             return None
         return Linearised(float(cost + np.sum(prior**2)), triangular_factor(stacked))
 
+    def _linearised_record(self, k: int, evaluated: Evaluation) -> tuple[Linearised, Rows]:
+        """Cost, factor and weighted rows of record k; its biases start the next search."""
+        rows, begin = evaluated.weigh(self.weights[k]), self.initial_states(k)
+        biases = rows.record_parameters[len(begin) :]
+        self.memory.record_parameters[k] = np.concatenate([begin, biases])
+        min_curvature_ratio = 1.0 if self.has_initial_weights else MIN_CURVATURE_RATIO
+        part = Linearised(rows.cost(self.weights[k]), rows.factor(min_curvature_ratio))
+        return part, replace(rows, evaluated=self._cached(evaluated))
+
+    def _weighed_record(self, k: int, evaluated: Evaluation) -> tuple[None, Rows]:
+        rows = evaluated.weigh(self.weights[k])
+        return None, replace(rows, evaluated=self._cached(evaluated))
+
     def cost(self, z: FloatArray) -> float | None:
         """Cost at z, by simulations without derivatives; None if one fails."""
         space = self.space
         known = space.fix_values(dict(zip(space.keys, space.parameters(z).tolist(), strict=True)))
-        plain = self.replace_unknowns(known).linearise(np.zeros(0))
+        plain = self.replace_unknowns(known)._linearise(np.zeros(0), self._cluster)
         if plain is None:
             return None
         _, prior = space.linearise_prior(z)
@@ -139,15 +153,12 @@ class Objective:
 
         Derivatives of large problems are missing; `map_rows` has them.
         """
+        self._fetch(z)
         point, cached = z.tobytes(), self.memory.rows
         if cached is not None and cached[0] == point and cached[1] is self.weights:
             return cached[2]
-
-        def weighed(k: int, evaluated: Evaluation) -> Rows:
-            rows = evaluated.weigh(self.weights[k])
-            return replace(rows, evaluated=self._cached(evaluated))
-
-        rows = self._map_evaluated(z, weighed, differentiated=False)
+        pairs = self._map_evaluated(z, self._weighed_record, differentiated=False)
+        rows = [row for _, row in pairs]
         self.memory.rows = point, self.weights, rows
         return rows
 
@@ -162,15 +173,21 @@ class Objective:
 
     def evaluate(self, z: FloatArray) -> list[Evaluation]:
         """Unweighted residuals of every record at z; derivatives of large problems are missing."""
+        self._fetch(z)
         return self._map_evaluated(
             z, lambda _, evaluated: self._cached(evaluated), differentiated=False
         )
 
     def _cached(self, evaluated: Evaluation) -> Evaluation:
         """An evaluation as it is cached: without derivatives, if those of all records are large."""
+        return evaluated.without_derivatives() if self._is_large else evaluated
+
+    @property
+    def _is_large(self) -> bool:
+        """Whether the derivatives of all records are too large to be cached."""
         n_entries = sum(len(r.time) * len(r.channels) for r in self.records)
-        n_bytes = n_entries * len(self.space.unknowns) * evaluated.difference.itemsize
-        return evaluated if n_bytes <= _MAX_CACHED_BYTES else evaluated.without_derivatives()
+        n_bytes = n_entries * len(self.space.unknowns) * np.dtype(float).itemsize
+        return n_bytes > _MAX_CACHED_BYTES
 
     def update_weights(self, z: FloatArray) -> Objective:
         """Update the weights from the residuals at z."""
@@ -185,7 +202,8 @@ class Objective:
 
     def forget(self) -> None:
         """Free the cached evaluations, of which arms of many joints have hundreds of megabytes."""
-        self.memory.last = self.memory.rows = self.memory.long_steps = None
+        self.memory.last = self.memory.rows = None
+        self.memory.long_steps = self.memory.remote = None
 
     def replace_unknowns(self, space: ParameterSpace) -> Objective:
         """Replace the shared unknowns."""
@@ -321,8 +339,7 @@ class Objective:
 
         Missing derivatives are computed again if the work requires them to be `differentiated`.
         """
-        point, last = z.tobytes(), self.memory.last
-        cached = last[1] if last is not None and last[0] == point else None
+        point, cached = z.tobytes(), self._cached_at(z)
 
         def evaluate_and_apply(k: int, record: Dataset) -> tuple[Evaluation, T]:
             if cached is None:
@@ -338,6 +355,53 @@ class Objective:
         results = self._map_records(evaluate_and_apply)
         self.memory.last = point, [evaluated for evaluated, _ in results]
         return [result for _, result in results]
+
+    def _cached_at(self, z: FloatArray) -> list[Evaluation] | None:
+        """Cached evaluations at z, fetched if they are on a cluster."""
+        memory, point = self.memory, z.tobytes()
+        if memory.remote is not None and memory.remote[0] == point:
+            _, weights, fetch = memory.remote
+            memory.rows = point, weights, fetch()
+            memory.last = point, [row.evaluated for row in memory.rows[2]]
+        memory.remote = None
+        return memory.last[1] if memory.last is not None and memory.last[0] == point else None
+
+    @property
+    def _cluster(self) -> Cluster | None:
+        """The cluster on whose workers the records are evaluated, if there is one.
+
+        A small problem takes no longer on this machine.
+        """
+        return current_cluster() if self._is_large else None
+
+    def _map_on_cluster(
+        self,
+        cluster: Cluster,
+        z: FloatArray,
+        work: Callable[[Objective, int, Evaluation], tuple[T, Rows]],
+    ) -> list[T]:
+        """Apply `work` to the evaluation of every record at z on the workers of a cluster.
+
+        The rows stay there until they are needed, the derivatives only as long as `work` runs.
+        """
+        point, cached, jobs = z.tobytes(), self._cached_at(z), []
+        for k in range(len(self.records)):
+            one = self.select_records(k)
+            one.memory.last = None if cached is None else (point, [cached[k]])
+            jobs.append((replace(one, records=()), z, work))
+        if cached is None:
+            self.memory.last = self.memory.rows = None
+        results, fetch = cluster.map(evaluate_on_worker, self.records, jobs)
+        for k, (_, record_parameters) in enumerate(results):
+            self.memory.record_parameters[k] = record_parameters
+        self.memory.remote = point, self.weights, fetch
+        return [result for result, _ in results]
+
+    def _fetch(self, z: FloatArray) -> None:
+        """Evaluate and fetch what is not cached, if there is a cluster."""
+        if (cluster := self._cluster) is not None and self._cached_at(z) is None:
+            self._map_on_cluster(cluster, z, Objective._weighed_record)
+            self._cached_at(z)
 
     def _evaluate_record(self, k: int, record: Dataset, z: FloatArray) -> Evaluation:
         """Evaluate record k at z, with optimal initial states if it begins in motion."""
@@ -458,6 +522,17 @@ class Objective:
     def _map_records(self, work: Callable[[int, Dataset], T]) -> list[T]:
         """Apply `work` to every record in parallel threads; simulations release the GIL."""
         return run_parallel([partial(work, k, record) for k, record in enumerate(self.records)])
+
+
+def evaluate_on_worker(
+    record: Dataset, job: tuple[Objective, FloatArray, Callable[..., tuple[T, Rows]]]
+) -> tuple[tuple[T, FloatArray], Rows]:
+    """Work of `_map_on_cluster` on one record and its objective, without derivatives."""
+    objective, z, work = job
+    one = replace(objective, records=(record,))
+    ((result, rows),) = one._map_evaluated(z, partial(work, one))
+    rows = replace(rows, evaluated=rows.evaluated.without_derivatives())
+    return (result, one.memory.record_parameters[0]), rows
 
 
 def _spread(biases: FloatArray, record: Dataset) -> FloatArray:

@@ -119,7 +119,7 @@ def low_pass_kernels(cutoff_hz: float, sample_time: float, ahead: float = 0.0) -
     return Kernels(smooth, slope, step)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, weakref_slot=True)
 class Dataset:
     """A record with its simulation inputs and its filtered measured channels."""
 
