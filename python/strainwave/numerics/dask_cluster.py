@@ -20,13 +20,13 @@ from strainwave.errors import (
     StrainwaveError,
     import_optional,
 )
-from strainwave.numerics.parallel import limit_blas_to_one_thread, limited, raise_if_stopped
+from strainwave.numerics.parallel import configure_worker, limited, raise_if_stopped
 from strainwave.version import __version__
 
 _CONNECT_TIMEOUT_S = 10.0  # of the scheduler, at the start and after a lost connection
 _WORKER_TIMEOUT_S = 30.0  # without any worker; a nanny restarts one in a few seconds
 _WORKER_CHECK_S = 1.0  # between two checks for workers
-_POLL_S = 0.01  # between two checks for ended jobs
+_POLL_S = 0.02  # between two checks for ended jobs
 _SAME_VERSION = "install the same version of strainwave on the scheduler and the workers"
 
 
@@ -211,7 +211,7 @@ def _load(version: str, pickled: bytes) -> object:
 def _perform(
     function: Callable[[Any, Any], tuple[Any, Any]], datum: object, job: object
 ) -> tuple[Any, Any]:
-    limit_blas_to_one_thread()  # for good: the threads of a worker share the limit
+    configure_worker()
     return function(datum, job)
 
 

@@ -36,11 +36,15 @@ def one_blas_thread() -> Iterator[None]:
         yield
 
 
-def limit_blas_to_one_thread() -> None:
-    """The same until the process ends."""
+def configure_worker() -> None:
+    """Configure a process that runs other code as well: one BLAS thread, and memory is kept.
+
+    The limit holds until the process ends, because its threads share it.
+    """
     from threadpoolctl import threadpool_limits
 
     threadpool_limits(limits=1, user_api="blas")
+    _keep_freed_memory()
 
 
 def configure_process() -> None:
@@ -55,6 +59,10 @@ def configure_process() -> None:
     gc.set_threshold(_COLLECTOR_THRESHOLD)
     sys.setswitchinterval(_SWITCH_INTERVAL)
     atexit.register(gc.freeze)
+    _keep_freed_memory()
+
+
+def _keep_freed_memory() -> None:
     # otherwise the kernel clears the pages of each new large array, an eighth of a run's time
     try:
         mallopt = ctypes.CDLL(None).mallopt
