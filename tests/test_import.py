@@ -6,7 +6,10 @@ import json
 import subprocess
 import sys
 
-HEAVY = ["numpy", "scipy", "pyarrow", "pydantic", "plotly", "jinja2", "rich", "h5py", "rosbags"]
+HEAVY = [
+    *("numpy", "scipy", "pyarrow", "pydantic", "plotly", "jinja2", "rich", "h5py", "rosbags"),
+    "distributed",
+]
 
 
 def modules_after(statement: str) -> set[str]:

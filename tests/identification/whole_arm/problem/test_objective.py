@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from dask_processes import dask
 from strainwave.domain import FloatArray
 from strainwave.dynamics.arm import Arm
 from strainwave.identification.whole_arm.inference.covariance import confidence_at
@@ -26,6 +28,8 @@ from strainwave.identification.whole_arm.records.dataset import Dataset
 from strainwave.identification.whole_arm.records.preparation import dataset_of
 from strainwave.identification.whole_arm.search import Fit
 from strainwave.identification.whole_arm.selection.candidate import held_out_scores
+from strainwave.numerics.dask_cluster import Cluster, ClusterLost, connected
+from strainwave.numerics.parallel import limited, one_blas_thread
 from tuning_runs import (
     beginning,
     joint_models,
@@ -458,3 +462,42 @@ def test_the_integrator_step_error_is_corrected() -> None:
         )
     nearby = z + 1e-4
     assert np.all(np.std(left(once, nearby), axis=0) < 0.3 * before)
+
+
+def evaluated_at(objective: Objective, z: FloatArray) -> list[FloatArray]:
+    """Costs, factors, residuals and record parameters of evaluations near z."""
+    numbers = []
+    for point in (z, z + 1e-3):
+        linearised = objective.linearise(point)
+        assert linearised is not None
+        numbers += [np.array([linearised.cost, objective.cost(point)]), linearised.factor]
+    numbers += [rows.errors for rows in objective.rows(z + 1e-3)]
+    numbers += [rows.errors for rows in objective.rows(z)]  # no longer cached
+    corrected = objective.update_weights(z).correct_step_error(z)
+    linearised = corrected.linearise(z)
+    assert linearised is not None
+    numbers += [linearised.factor, *(rows.errors for rows in corrected.rows(z))]
+    numbers += [each.difference for each in corrected.evaluate(z + 2e-3)]
+    return [*numbers, *objective.memory.record_parameters, *corrected.memory.record_parameters]
+
+
+def test_a_cluster_gives_the_numbers_of_threads_until_it_is_lost(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One of two workers is killed after the first pass; its records are evaluated again."""
+    monkeypatch.setattr(objective_module, "_MAX_CACHED_BYTES", 0)  # every problem is large
+    space, records, z = rig("linear")
+    assert [record.begins_in_motion for record in records].count(True) == 1
+    with one_blas_thread():
+        expected = evaluated_at(Objective.of(space, records), z)
+        with dask(tmp_path) as it, connected(it.address) as client:
+            cluster = Cluster(client)
+            with limited(cluster=cluster):
+                for _ in range(2):
+                    numbers = evaluated_at(Objective.of(space, records), z)
+                    assert all(map(np.array_equal, numbers, expected))
+                    it.workers[0].kill()
+                    it.workers[0].wait()
+                it.scheduler.kill()
+                with pytest.raises(ClusterLost):
+                    Objective.of(space, records).linearise(z)
