@@ -90,7 +90,7 @@ class _JobGroup:
         cluster: Cluster | None = None,
     ) -> None:
         self.parent = parent
-        self.cluster = cluster or (parent.cluster if parent else None)
+        self.cluster: Cluster | None = cluster or (parent.cluster if parent else None)
         self.threads = threads  # None: number of cores
         self.cancelled = cancelled
         self.stopped = False
