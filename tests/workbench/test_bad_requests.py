@@ -185,6 +185,17 @@ def contents(folder: Path) -> dict[Path, bytes]:
     return {path: path.read_bytes() if path.is_file() else b"" for path in folder.rglob("*")}
 
 
+UNLINK = Path.unlink
+
+
+def unlink_closed(path: Path, missing_ok: bool = False) -> None:
+    """As Windows, delete only a file that this process has closed."""
+    for handle in Path("/proc/self/fd").glob("*"):
+        if handle.exists() and path.exists() and handle.samefile(path):
+            raise PermissionError(13, "Access is denied", str(path))
+    UNLINK(path, missing_ok)
+
+
 WRITING = "study window check by-hand-save by-hand-fit estimate design export save-comparison"
 
 
@@ -193,6 +204,7 @@ def test_a_full_disk_is_a_sentence_and_changes_nothing(
     served: TestClient, route: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    monkeypatch.setattr(Path, "unlink", unlink_closed)
     monkeypatch.setattr(Runs, "_start", START_PROCESS)  # its first write fails
     folder = study_file(served).parents[1]
     body = dict(BODIES["compare"] if route == "save-comparison" else BODIES.get(route, {}))

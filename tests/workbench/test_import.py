@@ -16,6 +16,7 @@ from workbench_client import make_client
 
 pytest.importorskip("starlette")
 
+from strainwave.workbench import workspace
 from strainwave.workbench.workspace import free_path
 
 if TYPE_CHECKING:
@@ -146,11 +147,31 @@ def test_a_full_disk_is_a_sentence(
     def fail(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(os, "link", fail)
+    monkeypatch.setattr(Path, "replace", fail)
     answer = put(client, "rig", "a.csv", b"x")
     assert answer.status_code == 507
     assert "No space left on device" in answer.json()["error"]
     assert not (folder / "rig").exists()
+
+
+def test_an_upload_needs_no_hard_links(
+    client: TestClient, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object) -> None:  # as on exFAT
+        raise PermissionError(1, "Operation not permitted")
+
+    monkeypatch.setattr(os, "link", refuse)
+    assert put(client, "rig", "a.csv", b"x").status_code == 200
+    assert {path.name: path.read_bytes() for path in (folder / "rig").iterdir()} == {"a.csv": b"x"}
+
+
+def test_a_faster_upload_stays(
+    client: TestClient, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    put(client, "rig", "a.csv", b"fast")
+    monkeypatch.setattr(workspace, "free_path", Path.joinpath)  # which was free a moment ago
+    assert put(client, "rig", "a.csv", b"slow").status_code == 400
+    assert [path.read_bytes() for path in (folder / "rig").iterdir()] == [b"fast"]
 
 
 def test_a_bad_log_gives_the_message_of_the_command_line(client: TestClient, folder: Path) -> None:

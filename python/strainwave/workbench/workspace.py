@@ -17,6 +17,7 @@ from strainwave.io.atomic_files import read_small
 from strainwave.io.kept_files import MAX_STUDY_BYTES, named_files
 from strainwave.io.logs.bags import BAG_SUFFIXES
 from strainwave.io.logs.tables import TABLE_SUFFIXES
+from strainwave.io.system import replace_file
 
 _RUNS = "runs"
 _MAX_DEPTH = 3  # of folders in which studies are searched
@@ -161,10 +162,15 @@ class Workspace:
                         )
                     file.write(chunk)
             target = free_path(parent, name)
-            os.link(temporary, target)  # fails if another upload was faster
+            target.touch(exist_ok=False)  # fails if another upload was faster
+            try:
+                replace_file(Path(temporary), target)
+            except OSError:
+                target.unlink()
+                raise
         finally:
             if temporary:
-                os.unlink(temporary)
+                Path(temporary).unlink(missing_ok=True)
             with suppress(OSError):  # a folder that has files stays
                 for each in new_folders:
                     each.rmdir()

@@ -9,6 +9,7 @@ import asyncio
 import base64
 import hashlib
 import json
+import os
 import re
 import tempfile
 from argparse import ArgumentError, ArgumentParser, Namespace
@@ -350,16 +351,19 @@ def download_zip(request: Request) -> Response:
     size = sum(path.stat().st_size for path in files.values())
     if size > _MAX_ZIP:
         raise InvalidInput(f"the run has {size >> 20} MiB", remedy="copy its folder")
-    with tempfile.NamedTemporaryFile(suffix=".zip", delete=False) as file:
-        name = Path(file.name)
-        try:
-            # without strict time stamps, since some are before 1980
-            with ZipFile(file, "w", ZIP_DEFLATED, strict_timestamps=False) as archive:
-                for key, path in files.items():
-                    archive.write(path, f"{run.name}/{key}")
-        except OSError:  # no space
-            name.unlink()
-            raise
+    handle, temporary = tempfile.mkstemp(suffix=".zip")
+    name = Path(temporary)
+    try:
+        # without strict time stamps, since some are before 1980
+        with (
+            os.fdopen(handle, "wb") as file,
+            ZipFile(file, "w", ZIP_DEFLATED, strict_timestamps=False) as archive,
+        ):
+            for key, path in files.items():
+                archive.write(path, f"{run.name}/{key}")
+    except OSError:  # no space; Windows deletes only closed files
+        name.unlink()
+        raise
     remove = BackgroundTask(name.unlink, missing_ok=True)
     return FileResponse(
         name, filename=f"{run.name}.zip", media_type="application/zip", background=remove
