@@ -62,12 +62,12 @@ test: develop
 	  --hypothesis-profile=fresh --hypothesis-seed=$(SEED)
 
 # The same compiler for both processors, with a standard library for aarch64: packages of Debian,
-# which .ci/run lists. Programs are static, because in the emulator threads of others hang.
+# which .ci/run lists. Tests are static programs, because in the emulator threads of others hang.
 CROSS := aarch64-unknown-linux-gnu
 cross instructions: export RUSTC := /usr/bin/rustc
 cross instructions: export CARGO_TARGET_AARCH64_UNKNOWN_LINUX_GNU_LINKER := aarch64-linux-gnu-gcc
-cross instructions: export CARGO_TARGET_AARCH64_UNKNOWN_LINUX_GNU_RUNNER := qemu-aarch64-static
-cross instructions: export CARGO_TARGET_AARCH64_UNKNOWN_LINUX_GNU_RUSTFLAGS := -C target-feature=+crt-static
+cross: export CARGO_TARGET_AARCH64_UNKNOWN_LINUX_GNU_RUNNER := qemu-aarch64-static
+cross: export CARGO_TARGET_AARCH64_UNKNOWN_LINUX_GNU_RUSTFLAGS := -C target-feature=+crt-static
 
 # Tests of the core for aarch64 in an emulator, with fewer drawn cases, and without those that take
 # minutes there.
