@@ -6,7 +6,7 @@ BIN    := $(VENV)/bin
 DEMO   := build/demo
 RUST   := $(shell find rust -name '*.rs' -o -name Cargo.toml 2>/dev/null) Cargo.toml Cargo.lock
 
-.PHONY: setup develop demo comparisons test cross instructions check bench claims docs wheel sdist dist-check lock clean
+.PHONY: setup develop demo comparisons test cross instructions check bench claims docs wheel wheel-aarch64 sdist dist-check lock clean
 
 setup: $(VENV)/.built
 
@@ -64,8 +64,8 @@ test: develop
 # The same compiler for both processors, with a standard library for aarch64: packages of Debian,
 # which .ci/run lists. Tests are static programs, because in the emulator threads of others hang.
 CROSS := aarch64-unknown-linux-gnu
-cross instructions: export RUSTC := /usr/bin/rustc
-cross instructions: export CARGO_TARGET_AARCH64_UNKNOWN_LINUX_GNU_LINKER := aarch64-linux-gnu-gcc
+cross instructions wheel-aarch64: export RUSTC := /usr/bin/rustc
+cross instructions wheel-aarch64: export CARGO_TARGET_AARCH64_UNKNOWN_LINUX_GNU_LINKER := aarch64-linux-gnu-gcc
 cross: export CARGO_TARGET_AARCH64_UNKNOWN_LINUX_GNU_RUNNER := qemu-aarch64-static
 cross: export CARGO_TARGET_AARCH64_UNKNOWN_LINUX_GNU_RUSTFLAGS := -C target-feature=+crt-static
 
@@ -105,6 +105,10 @@ docs: develop
 
 wheel: $(VENV)/.installed
 	$(BIN)/maturin build --release --locked --out dist
+
+# A wheel for aarch64 on a machine with another processor.
+wheel-aarch64: $(VENV)/.installed
+	$(BIN)/maturin build --release --locked --target $(CROSS) --out dist
 
 sdist: $(VENV)/.installed
 	$(BIN)/maturin sdist --out dist
