@@ -15,7 +15,7 @@ import psutil
 import strainwave as sw
 from strainwave.fleet.campaign.store import Store
 
-COUNT = 24
+COUNT = 16
 PATIENCE = 300.0  # [s]; a loaded machine is several times slower
 
 

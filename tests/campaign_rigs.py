@@ -1,4 +1,4 @@
-"""Studies of one rigid joint that take 1/20 s each."""
+"""Studies of one rigid joint that take 1/20 s each: no effect may explain their residuals."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ kind = "single-joint"
 [[joint]]
 spring = "rigid"
 gear_ratio = 1.0
+effects = []
 
 [[experiment]]
 name = "motion"
