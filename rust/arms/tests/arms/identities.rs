@@ -237,7 +237,7 @@ fn random_two_link() -> impl Strategy<Value = (Vec<f64>, u64)> {
 
 proptest! {
     #![proptest_config(ProptestConfig {
-        cases: 48,
+        cases: 24,
         failure_persistence: None,
         ..ProptestConfig::default()
     })]

@@ -785,7 +785,7 @@ const SMOOTH: EffectKinds = EffectKinds {
 };
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(4))]
+    #![proptest_config(ProptestConfig::with_cases(2))]
 
     #[test]
     fn derivatives_match_differences(seed in any::<u64>(), servo in any::<bool>()) {
