@@ -106,14 +106,13 @@ SUSPICIONS = [
         remedy_clause=Clause("text", text="correct it"),
         factor=f,
     )
-    for code in ("wrong-torque-constant", "wrong-unit", "misaligned")
+    for code, f in (("wrong-torque-constant", 1.1), ("wrong-unit", -1.0), ("misaligned", None))
     for place in (
         Place(channel="theta_m1"),
         Place(channel="a2"),
         Place(joint=2, key="gear_ratio"),
         Place(key="torque_per_volt"),
     )
-    for f in (None, 1.1, -1.0)
 ]
 
 

@@ -87,9 +87,9 @@ def test_real_arms_give_no_suspicion(name: str, shared_data: Path) -> None:
     ],
 )
 def test_wrong_units_and_signs_are_reported(
-    arm: Input, name: str, factor: float, code: str, said: str
+    horizontal_arm: Input, name: str, factor: float, code: str, said: str
 ) -> None:
-    suspicion = the_one(changed(arm, **{name: factor}))
+    suspicion = the_one(changed(horizontal_arm, **{name: factor}))
     assert (suspicion.code, suspicion.where) == (code, name)
     assert suspicion.factor == pytest.approx(factor, rel=1e-3)
     assert said in suspicion.message
@@ -118,8 +118,8 @@ def test_swapped_joints_are_reported(arm: Input, kind: str) -> None:
 
 @pytest.mark.parametrize("joint", [1, 2])
 @pytest.mark.parametrize("ratio", [1.0, 0.02, 0.005])
-def test_wrong_gear_ratios_are_reported(arm: Input, joint: int, ratio: float) -> None:
-    suspicion = the_one(with_joint(arm, joint, gear_ratio=ratio))
+def test_wrong_gear_ratios_are_reported(vertical_arm: Input, joint: int, ratio: float) -> None:
+    suspicion = the_one(with_joint(vertical_arm, joint, gear_ratio=ratio))
     assert (suspicion.code, suspicion.where) == ("wrong-gear-ratio", f"joint {joint} gear_ratio")
     assert suspicion.factor == pytest.approx(ratio / 0.01, rel=0.03)
 
@@ -201,7 +201,7 @@ def test_a_torque_constant_wrong_by_ten_is_reported_by_the_input_check(small_arm
     assert suspicion.factor == pytest.approx(10.0, rel=0.3)
 
 
-@pytest.mark.parametrize("factor", [0.5, 2.0, 50.0])
+@pytest.mark.parametrize("factor", [0.5, 50.0])
 def test_wrong_gear_ratios_of_a_small_arm_are_reported(small_arm: Input, factor: float) -> None:
     n = small_arm[1].arm.joints[1].gear_ratio
     suspicion = the_one(with_joint(small_arm, 2, gear_ratio=factor * n))

@@ -180,9 +180,9 @@ def assert_remedied(given: Input, codes: tuple[str, ...]) -> None:
 
 
 @pytest.mark.parametrize("fault", EVERYWHERE)
-def test_applying_the_remedy_makes_the_input_consistent(arm: Input, fault: str) -> None:
+def test_applying_the_remedy_makes_the_input_consistent(vertical_arm: Input, fault: str) -> None:
     change, codes = EVERYWHERE[fault]
-    assert_remedied(change(arm), codes)
+    assert_remedied(change(vertical_arm), codes)
 
 
 @pytest.mark.parametrize("fault", HORIZONTAL)
