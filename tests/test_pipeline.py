@@ -128,28 +128,6 @@ def test_a_three_slope_arm_hardens_and_stays_within_its_slopes(
         assert squared_frequencies == sorted(squared_frequencies)
 
 
-def test_a_flexible_joint_without_motion_records(shared_data: Path) -> None:
-    """Measured arm: anti-resonance at 3.4 to 3.5 Hz, resonance at 4.0 to 4.5 Hz."""
-    identification = pipeline.identify(shared_data / "real" / "ist-flexible-arm" / "study.toml")
-    assert identification.verdict.status == "determined"
-    values = {p.key: p for p in identification.parameters}
-    assert values["motor_inertia", 1].model_std is not None  # plausible effects would move it
-    # a plausible ripple of less than one period does not determine the offset
-    offset, friction = values["friction_offset", 1], values["motor_coulomb_friction", 1]
-    assert offset.std is not None
-    assert friction.value is not None
-    assert offset.std < friction.value
-    assert identification.rigid is None
-    (record,) = identification.records
-    assert record.modes is not None
-    assert record.physical is identification.joints[0]  # the joint has only this record
-    for modes in (record.modes, record.physical):
-        assert modes.anti_resonance is not None
-        assert modes.resonance is not None
-        assert 3.4 < modes.anti_resonance.frequency_hz < 3.5
-        assert 4.0 < modes.resonance.frequency_hz < 4.5
-
-
 @pytest.mark.parametrize(
     ("arm", "inertia", "damping"),
     [("scara-linear-5kg", 0.002, 0.006), ("vertical-linear-0kg", 0.005, 0.02)],

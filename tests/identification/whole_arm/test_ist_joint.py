@@ -54,3 +54,25 @@ def test_its_anti_resonance_is_where_the_dip_was_measured(
         (response,) = result.motor_responses
         assert response.condition == "alone"
         assert response.anti_resonances_hz[0] == pytest.approx(3.45, abs=0.12)
+
+
+def test_a_flexible_joint_without_motion_records(both: tuple[Identification, ...]) -> None:
+    """Measured arm: anti-resonance at 3.4 to 3.5 Hz, resonance at 4.0 to 4.5 Hz."""
+    identification, _ = both
+    assert identification.verdict.status == "determined"
+    values = {p.key: p for p in identification.parameters}
+    assert values["motor_inertia", 1].model_std is not None  # plausible effects would move it
+    # a plausible ripple of less than one period does not determine the offset
+    offset, friction = values["friction_offset", 1], values["motor_coulomb_friction", 1]
+    assert offset.std is not None
+    assert friction.value is not None
+    assert offset.std < friction.value
+    assert identification.rigid is None
+    (record,) = identification.records
+    assert record.modes is not None
+    assert record.physical is identification.joints[0]  # the joint has only this record
+    for modes in (record.modes, record.physical):
+        assert modes.anti_resonance is not None
+        assert modes.resonance is not None
+        assert 3.4 < modes.anti_resonance.frequency_hz < 3.5
+        assert 4.0 < modes.resonance.frequency_hz < 4.5
