@@ -61,7 +61,7 @@ def rows(store: Path) -> dict[str, dict[str, Any]]:
 
 def test_each_study_is_a_row_with_its_parameters(tmp_path: Path) -> None:
     rigs(tmp_path / "rigs", 3)
-    run(tmp_path / "rigs", tmp_path / "store")
+    run(tmp_path / "rigs", tmp_path / "store", start=InProcess)
     found = rows(tmp_path / "store")
     assert {row["status"] for row in found.values()} == {"determined"}
     parameters = read_parameters(tmp_path / "store").to_pylist()
@@ -170,11 +170,11 @@ def test_a_worker_of_another_version_refuses(tmp_path: Path) -> None:
 
 
 def test_a_process_is_reused_and_replaced(tmp_path: Path) -> None:
-    rigs(tmp_path / "rigs", 7)
-    run(tmp_path / "rigs", tmp_path / "store", 1, limits=RunLimits(tasks=3))
+    rigs(tmp_path / "rigs", 3)
+    run(tmp_path / "rigs", tmp_path / "store", 1, limits=RunLimits(tasks=2))
     ordered = sorted(rows(tmp_path / "store").values(), key=lambda row: row["started"])
     workers = [row["worker"] for row in ordered]
-    assert [workers.count(each) for each in dict.fromkeys(workers)] == [3, 3, 1]
+    assert [workers.count(each) for each in dict.fromkeys(workers)] == [2, 1]
 
 
 def test_a_process_killed_between_studies_is_replaced(tmp_path: Path) -> None:

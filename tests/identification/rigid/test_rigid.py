@@ -135,15 +135,15 @@ def test_records_combine() -> None:
 
 
 def test_deviations_are_calibrated_under_coloured_noise() -> None:
-    """Coverage of 95 % intervals over 200 seeds.
+    """Coverage of 95 % intervals over 100 seeds.
 
-    800 values: the coverage has a standard error of about 1 %, because parameters of one seed are
+    400 values: the coverage has a standard error of about 1.5 %, because parameters of one seed are
     correlated. Errors correlated across the 20 blocks cost 2 to 3 %. The mean squared normalised
     error is near that of Student's t with 19 degrees of freedom, 19/17 = 1.1.
     """
     study = rigid_drive()
     inside, squares = [], []
-    for seed in range(200):
+    for seed in range(100):
         motion = exact_motion(1, seed)
         rng = np.random.default_rng(seed)
         white = rng.normal(0.0, 1.0, motion[0].shape)
