@@ -1,9 +1,14 @@
-"""The command line in the process of the test, without the second that a new process takes."""
+"""The command line in the process of the test, without the second that a new process takes.
+
+And in a process of its own, for what such a process alone shows.
+"""
 
 from __future__ import annotations
 
 import io
 import os
+import subprocess
+import sys
 from contextlib import chdir, redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
@@ -42,3 +47,14 @@ def run_here(*arguments: str | Path, cwd: Path | None = None) -> Finished:
         except SystemExit as done:
             code = done.code if isinstance(done.code, int) else int(done.code is not None)
     return Finished(code, out.getvalue(), err.getvalue())
+
+
+def run_apart(*arguments: str) -> subprocess.CompletedProcess[str]:
+    """Run `strainwave` in a process of its own."""
+    return subprocess.run(
+        [sys.executable, "-m", "strainwave", *arguments],
+        capture_output=True,
+        text=True,
+        check=False,
+        env={**os.environ, "COLUMNS": COLUMNS, "PYTHONWARNINGS": "error"},
+    )

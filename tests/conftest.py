@@ -48,8 +48,10 @@ LONGEST = (
 SHARED_FITS = {
     f"{WHOLE_ARM}/inference/test_residual_analysis.py": f"{WHOLE_ARM}/selection/test_causes.py",
     "tests/reproduction/test_page.py": "tests/reproduction/test_claims.py",
+    "tests/test_docs.py": "tests/test_cli.py",
+    "tests/test_small_arm.py": "tests/test_api.py",
 }
-"""Files that use the same cached fits as another file, and that other file."""
+"""Files that use the same cached results as another file, and that other file."""
 
 
 def _unit(nodeid: str) -> str:
@@ -89,3 +91,15 @@ def shared_data() -> Path:
     if not SHARED_DATA.is_dir():
         pytest.skip("no ../shared/data beside the project: the measured data are not here")
     return SHARED_DATA
+
+
+@pytest.fixture(scope="session")
+def demo(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """Folder and output of the demonstration; copy the folder before you change it."""
+    from command_line import run_apart
+
+    folder = tmp_path_factory.mktemp("demo") / "out"
+    process = run_apart("demo", "--out", str(folder))
+    assert process.returncode == 0, process.stderr
+    assert process.stderr == ""
+    return folder, process.stdout

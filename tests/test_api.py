@@ -23,6 +23,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import strainwave as sw
+from small_arm import FOLDER, STUDY, whole
 from strainwave.domain import Identification
 from strainwave.domain.study import Progress, ProgressEvent
 from strainwave.dynamics.arm import Arm
@@ -31,18 +32,10 @@ from strainwave.export.linear_models import joint_model, joint_model_covariance
 from strainwave.identification.joint_model.agreement import motor_response
 from strainwave.io import results
 
-FOLDER = Path(__file__).parent / "data" / "small-arm"
-STUDY = FOLDER / "study.toml"
-
 
 @cache
 def rigid() -> sw.Result:
     return sw.identify(STUDY, stages=("rigid",))
-
-
-@cache
-def whole() -> sw.Result:
-    return sw.identify(STUDY, threads=3)
 
 
 @pytest.fixture(params=["fresh", "read"])
@@ -102,10 +95,20 @@ def test_parameters_are_a_sequence_and_a_frame() -> None:
 
 
 @pytest.mark.parametrize("form", ["arrow", "pandas", "polars", "arrays", "path"])
-def test_data_in_memory_give_the_same_result_as_files(form: str, tmp_path: Path) -> None:
+def test_data_in_memory_are_the_logs_of_the_files(form: str, tmp_path: Path) -> None:
     """The study path has no log files."""
     study = replace(sw.read_study(STUDY), path=tmp_path / "study.toml")
-    result = sw.identify(study, data=tables(form), stages=("rigid",))
+    logs = sw.read_logs(study, data=tables(form))
+    for log, expected in zip(logs, sw.read_logs(STUDY), strict=True):
+        np.testing.assert_array_equal(log.time, expected.time)
+        assert log.channels.keys() == expected.channels.keys()
+        for name, channel in log.channels.items():
+            np.testing.assert_array_equal(channel, expected.channels[name])
+
+
+def test_data_in_memory_give_the_same_result_as_files(tmp_path: Path) -> None:
+    study = replace(sw.read_study(STUDY), path=tmp_path / "study.toml")
+    result = sw.identify(study, data=tables("arrow"), stages=("rigid",))
     assert result.parameters == rigid().parameters
 
 

@@ -6,12 +6,11 @@ Examples: study files, parameter files, commands, code, links. Lists: codes, key
 from __future__ import annotations
 
 import json
-import os
 import re
 import runpy
 import shlex
-import subprocess
-import sys
+import shutil
+from contextlib import chdir
 from pathlib import Path
 
 import pytest
@@ -22,7 +21,6 @@ from strainwave.domain.arm.effects import possible_causes
 from strainwave.domain.messages import catalogue
 from strainwave.io.parameters import read_parameters
 from strainwave.io.study import read_study
-from strainwave.virtual import experiments as virtual
 from strainwave.virtual import scara
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -116,33 +114,30 @@ def test_links_have_targets(page: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(demo: tuple[Path, str], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder in which programs run; the demonstration is in `demo`."""
     folder = tmp_path_factory.mktemp("docs")
-    virtual.demonstrate(folder / "demo", seed=0, progress=lambda _: None)
+    shutil.copytree(demo[0], folder / "demo")
     return folder
 
 
-def run(arguments: list[str], folder: Path) -> str:
-    process = subprocess.run(
-        [sys.executable, *arguments],
-        cwd=folder,
-        capture_output=True,
-        text=True,
-        check=False,
-        env={**os.environ, "PYTHONWARNINGS": "error", "PYTHONPATH": str(ROOT)},
-    )
-    assert process.returncode == 0, process.stderr
-    return process.stdout
-
-
 @pytest.mark.parametrize(("name", "text"), programs())
-def test_code_runs(name: str, text: str, demo: Path) -> None:
-    assert run(["-c", text], demo), name
+def test_code_runs(name: str, text: str, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with chdir(folder):
+        exec(compile(text, name, "exec"), {"__name__": "__main__"})
+    assert capsys.readouterr().out
 
 
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda example: example.stem)
-def test_examples_run(example: Path, demo: Path) -> None:
-    assert run([str(example), str(demo / "demo" / "study.toml")], demo)
+def test_examples_run(
+    example: Path,
+    folder: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("sys.argv", [str(example), str(folder / "demo" / "study.toml")])
+    runpy.run_path(str(example), run_name="__main__")
+    assert capsys.readouterr().out
 
 
 def test_every_key_of_a_study_is_documented() -> None:
@@ -165,9 +160,9 @@ def test_every_key_of_a_study_is_documented() -> None:
             assert f"`{field.name}`" in page or f"{field.name} =" in page, field.name
 
 
-def test_every_key_of_a_result_is_documented(demo: Path) -> None:
+def test_every_key_of_a_result_is_documented(folder: Path) -> None:
     page = (ROOT / "docs" / "result.md").read_text(encoding="utf-8")
-    document = json.loads((demo / "demo" / "result.json").read_text())
+    document = json.loads((folder / "demo" / "result.json").read_text())
     keys = [*document, *document["stages"]["rigid"], *document["parameters"][0]]
     assert [key for key in keys if f"`{key}`" not in page and f"stages.{key}" not in page] == []
 

@@ -7,18 +7,15 @@ built-in one: lighter links, other gear sizes and ratios, a coarser encoder.
 from __future__ import annotations
 
 import json
-from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
 
+from small_arm import FOLDER, whole
 from strainwave.domain import Identification, Parameter
 from strainwave.io.parameters import read_parameters
 from strainwave.io.results import to_document
-from strainwave.pipeline import identify
 
-FOLDER = Path(__file__).parent / "data" / "small-arm"
 LIMITS = {
     "alpha": 0.002,
     "beta": 0.002,
@@ -35,9 +32,10 @@ LIMITS = {
 STEP = 5e-5  # [s] time step of the engine; its friction stops a motor within one or two steps
 
 
-@cache
 def identified() -> Identification:
-    return identify(FOLDER / "study.toml")
+    run = whole().run
+    assert run is not None
+    return run
 
 
 def estimates() -> list[tuple[Parameter, float]]:
