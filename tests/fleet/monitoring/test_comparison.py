@@ -213,8 +213,8 @@ def repeat(seed: int, rng: np.random.Generator, friction: float = 1.0) -> Result
 
 
 def test_visits_to_an_unchanged_arm_agree() -> None:
-    """16 pairs of visits at a level of 5 %: one alarm is expected."""
-    pairs = 16
+    """12 pairs of visits at a level of 5 %: half an alarm is expected."""
+    pairs = 12
     seed = secrets.randbits(20)
     print(f"seed {seed}")  # of a visit without values, which ends the comparison
     rng = np.random.default_rng(seed)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -227,6 +228,7 @@ def test_warnings_are_sorted_by_severity_with_meaning_and_remedy() -> None:
 CONSTRUCTORS = ("Diagnostic", "Check", "_check", "attempt")
 
 
+@cache
 def codes() -> set[str]:
     """The code of every warning that a stage gives."""
     names: set[str] = set()
