@@ -81,13 +81,13 @@ def test_several_runs_share_one_stream_and_a_typed_name_stays(visit: Any) -> Non
     page.check("input[value='rigid']")
     page.dblclick("#start")  # starts one run
     page.wait_for_selector("tr[data-run='identify-1']")
-    for number in range(2, 9):
+    for number in range(2, 8):  # with the first, one more than a browser has connections
         page.fill("#name", f"run {number}")
         page.click("#start")
         page.wait_for_selector(f"tr[data-run='run {number}']")
     page.fill("#name", "typed while runs end")
-    for number in range(2, 9):
+    for number in range(2, 8):
         page.wait_for_selector(f"tr[data-run='run {number}'][data-state='done']")
-    assert page.locator("tr[data-run]").count() == 8
+    assert page.locator("tr[data-run]").count() == 7
     assert page.input_value("#name") == "typed while runs end"
-    assert len(streams) <= 8  # one for each set of runs, the former one closed
+    assert len(streams) <= 7  # one for each set of runs, the former one closed
