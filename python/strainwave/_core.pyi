@@ -15,7 +15,9 @@ __all__ = [
     "LoadStream",
     "eliminate",
     "gear_laws",
+    "gramian",
     "hankel_gram",
+    "innovations_gain",
     "joint_effects",
     "parameter_table",
     "residual_products_without_blocks",
@@ -250,9 +252,32 @@ def weighted_factor(
     """
 
 def hankel_gram(
-    data: NDArray[np.float64], lengths: Sequence[int], depth: int
+    inputs: NDArray[np.float64],
+    outputs: NDArray[np.float64],
+    lengths: Sequence[int],
+    depth: int,
+    order: Sequence[int],
 ) -> tuple[NDArray[np.float64], int]:
-    """Z'Z of the block-Hankel matrix Z of stacked records, and the number of its rows."""
+    """Z'Z of the block-Hankel matrix Z of stacked records z = [u, y], and the number of its rows.
+
+    `order`: Permutation of the columns of Z.
+    """
+
+def gramian(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+    """X = A X A' + B B' for stable A."""
+
+def innovations_gain(
+    a: NDArray[np.float64],
+    c: NDArray[np.float64],
+    state: NDArray[np.float64],
+    cross: NDArray[np.float64],
+    output: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+    """Gain K of the steady-state Kalman predictor and covariance of its innovations.
+
+    The noise of x+ = A x + w, y = C x + v has the covariance [state cross; cross' output]. None if
+    the equations have no solution.
+    """
 
 @final
 class Innovations:
@@ -281,9 +306,17 @@ class Innovations:
     ) -> NDArray[np.float64]:
         """E' W (d e / d values) of every sample, W^-1 = L L': (n_samples, n_entries + order)."""
     def normal_equations(
-        self, values: NDArray[np.float64], whitener: NDArray[np.float64]
+        self,
+        values: NDArray[np.float64],
+        whitener: NDArray[np.float64],
+        entries: Literal["all", "linear", "without-feedthrough", "initial-states"],
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """J'WJ and J'We with respect to all of `values`, W^-1 = L L'."""
+        """J'WJ and J'We with respect to `values`, W^-1 = L L'.
+
+        `entries`: "linear" computes the sums for B, D and the initial states only,
+        "without-feedthrough" for B and the initial states, "initial-states" for these. Other sums
+        are zero.
+        """
     def fit(
         self,
         values: NDArray[np.float64],

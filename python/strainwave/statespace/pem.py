@@ -138,7 +138,7 @@ class _Search:
 
     def best_fit(self, starts: list[ModelMatrices]) -> _PredictionErrorFit:
         fits = []
-        for start in sorted(starts, key=lambda each: self.evaluator.cost(each.pack())):
+        for start in sorted(starts, key=self.evaluator.cost):
             fit = self._fit(start)
             fits += [] if fit is None else [fit]
             if fit is not None and fit.end is SearchEnd.CONVERGED:
@@ -164,7 +164,7 @@ class _Search:
         limit = best.cost + 0.5 * without_gain.K.size * np.log(evaluator.data.n_samples)
         start = evaluator.linear(without_gain, self.feedthrough, gain=False, solutions=1)
         highest = best.cost + _MAX_ZERO_GAIN_COST_FACTOR * (limit - best.cost)
-        if evaluator.cost(start.pack()) > highest:
+        if evaluator.cost(start) > highest:
             return None
         fit = replace(self, options=replace(self.options, disturbance="none"))._fit(start)
         if fit is None or fit.end is not SearchEnd.CONVERGED or fit.covariance is None:
@@ -224,7 +224,7 @@ class _Search:
         status: SearchEnd | Literal["not-determined"]
         status = fit.end if fit.covariance is not None else "not-determined"
         warnings = _fit_warnings(fit, self.options)
-        model = assemble(data, fit.matrices, method, status, self.feedthrough, warnings)
+        model = assemble(self.evaluator, fit.matrices, method, status, self.feedthrough, warnings)
         if fit.covariance is not None:
             kind = self.options.covariance
             if kind == "auto":

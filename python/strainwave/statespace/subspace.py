@@ -121,12 +121,12 @@ def _estimate(
         warnings.append(Diagnostic("stability-enforced", STATE_SPACE_MODEL, modulus=modulus))
         matrices = stabilise(matrices)
     matrices = evaluator.linear(matrices, through, gain=True)
-    is_finite = np.isfinite(evaluator.cost(matrices.pack()))
+    is_finite = np.isfinite(evaluator.cost(matrices))
     status: Literal["estimated", "not-determined"]
     status = "estimated" if is_finite else "not-determined"
     if not is_finite:
         warnings.append(Diagnostic("subspace-not-determined", STATE_SPACE_MODEL))
-    model = assemble(data, matrices, "subspace", status, through, tuple(warnings))
+    model = assemble(evaluator, matrices, "subspace", status, through, tuple(warnings))
     return replace(model, singular_values=singular_values, horizon=length)
 
 
@@ -160,7 +160,7 @@ def realise(
 
     def cost(realisation: tuple[ModelMatrices, FloatArray]) -> float:
         evaluator = Evaluator(data, realisation[0].order)
-        return evaluator.cost(evaluator.linear(realisation[0], feedthrough, gain=True).pack())
+        return evaluator.cost(evaluator.linear(realisation[0], feedthrough, gain=True))
 
     return realisations[0] if len(realisations) == 1 else min(realisations, key=cost)
 
@@ -220,9 +220,12 @@ def _predictor_directions(factors: Factors, past: int) -> tuple[FloatArray, Floa
     R = factors.regression(past)
     lead = m + past * width
     coefficients = _solve_upper(R[:lead, :lead], R[:lead, lead:])[m:].T
-    padded = np.hstack([coefficients, np.zeros((p, past * width))])
-    rows = np.vstack([padded[:, j * width : (j + past) * width] for j in range(past)])
-    U, s, _ = np.linalg.svd(rows @ R[:, m:lead].T, full_matrices=False)
+    rows = np.zeros((past, p, past * width))
+    for j in range(past):
+        rows[j, :, : (past - j) * width] = coefficients[:, j * width :]
+    rows = rows.reshape(past * p, past * width)
+    # a square triangular factor has the same left vectors and a faster decomposition
+    U, s, _ = np.linalg.svd(_qr_factor(R[:lead, m:lead] @ rows.T).T)
     return rows, U, s
 
 
@@ -358,16 +361,16 @@ def _triangular_factor(data: Stack, depth: int, order: FloatArray) -> tuple[Floa
     `depth`: Number of samples in a row of Z.
     `order`: Permutation of the columns of Z.
     """
-    z = np.ascontiguousarray(np.hstack([data.inputs, data.outputs]))
-    gram, rows = _core.hankel_gram(z, list(data.lengths), depth)
+    lengths = list(data.lengths)
+    gram, rows = _core.hankel_gram(data.inputs, data.outputs, lengths, depth, order.tolist())
     try:
-        R = np.linalg.cholesky(gram[np.ix_(order, order)]).T
+        R = np.linalg.cholesky(gram).T
         pivots = np.diagonal(R)
         if pivots.min() >= MIN_PIVOT_RATIO * pivots.max():
             return np.asarray(R), rows
     except np.linalg.LinAlgError:
         pass
-    return _qr_factor(_blocked_qr(data, z, depth)[:, order]), rows
+    return _qr_factor(_blocked_qr(data, depth)[:, order]), rows
 
 
 def _solve_upper(R: FloatArray, right: FloatArray) -> FloatArray:
@@ -378,7 +381,8 @@ def _solve_upper(R: FloatArray, right: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.lstsq(R, right, rcond=1e-12)[0], dtype=np.float64)
 
 
-def _blocked_qr(data: Stack, z: FloatArray, depth: int) -> FloatArray:
+def _blocked_qr(data: Stack, depth: int) -> FloatArray:
+    z = np.ascontiguousarray(np.hstack([data.inputs, data.outputs]))
     width = z.shape[1]
     R = np.zeros((0, depth * width))
     for record in data.rows():

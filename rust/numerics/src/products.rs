@@ -78,11 +78,25 @@ fn blocks<const FUSED: bool>(
                 if part == Part::Upper && j + TILE_COLUMNS <= i {
                     continue;
                 }
-                let tile = &mut target[i * right.width + j..];
                 if i + TILE_ROWS <= left.width && j + TILE_COLUMNS <= right.width {
+                    let tile = &mut target[i * right.width + j..];
                     let (l, r) = ((&l[i..], left.stride), (&r[j..], right.stride));
                     whole_tile::<FUSED>(tile, right.width, l, r, rows);
+                } else if left.width >= TILE_ROWS && right.width >= TILE_COLUMNS {
+                    // The last tiles begin earlier and repeat some sums, which are not added.
+                    let top = i.min(left.width - TILE_ROWS);
+                    let first = j.min(right.width - TILE_COLUMNS);
+                    let (l, r) = ((&l[top..], left.stride), (&r[first..], right.stride));
+                    let mut sums = [0.0; TILE_ROWS * TILE_COLUMNS];
+                    whole_tile::<FUSED>(&mut sums, TILE_COLUMNS, l, r, rows);
+                    for a in i..top + TILE_ROWS {
+                        for b in j..first + TILE_COLUMNS {
+                            let sum = sums[(a - top) * TILE_COLUMNS + (b - first)];
+                            target[a * right.width + b] += sum;
+                        }
+                    }
                 } else {
+                    let tile = &mut target[i * right.width + j..];
                     let height = TILE_ROWS.min(left.width - i);
                     let width = TILE_COLUMNS.min(right.width - j);
                     for row in 0..rows {
@@ -146,6 +160,7 @@ mod tests {
         for (h, w, stride, count) in [
             (4, 8, 8, 300),
             (5, 11, 3, 259),
+            (6, 20, 4, 130),
             (1, 1, 1, 1),
             (9, 24, 24, 64),
         ] {

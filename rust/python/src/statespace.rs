@@ -8,29 +8,103 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use strainwave_statespace::fit::{Fit, InvalidStart, Options, Status, fit};
 use strainwave_statespace::model::{Model, Record, Shape, split};
+use strainwave_statespace::sensitivity::Entries;
+use strainwave_statespace::steady_state::{self, Noise};
 use strainwave_statespace::{hankel, predictor, sensitivity};
 
 /// Adds this file's functions and classes to the module.
 pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(hankel_gram, module)?)?;
+    module.add_function(wrap_pyfunction!(gramian, module)?)?;
+    module.add_function(wrap_pyfunction!(innovations_gain, module)?)?;
     module.add_class::<Innovations>()?;
     module.add_class::<InnovationsFit>()
 }
 
-/// Z'Z of the block-Hankel matrix Z of stacked records, and the number of its rows.
+/// Z'Z of the block-Hankel matrix Z of stacked records z = [u, y], with its columns in an order, and
+/// the number of its rows.
 #[pyfunction]
 fn hankel_gram<'py>(
     py: Python<'py>,
-    data: PyReadonlyArray2<'py, f64>,
+    inputs: PyReadonlyArray2<'py, f64>,
+    outputs: PyReadonlyArray2<'py, f64>,
     lengths: Vec<usize>,
     depth: usize,
+    order: Vec<usize>,
 ) -> PyResult<(Bound<'py, PyArray2<f64>>, usize)> {
-    let width = data.shape()[1];
-    check_rows("data", data.shape()[0], &lengths)?;
-    let data = data.as_slice().map_err(|_| not_contiguous("data"))?;
-    let (gram, rows) = py.detach(|| hankel::gram(data, width, &lengths, depth));
-    let size = depth * width;
+    check_rows("inputs", inputs.shape()[0], &lengths)?;
+    check_rows("outputs", outputs.shape()[0], &lengths)?;
+    let shape = Shape {
+        order: 1,
+        inputs: inputs.shape()[1],
+        outputs: outputs.shape()[1],
+    };
+    let size = depth * (shape.inputs + shape.outputs);
+    if order.len() != size || order.iter().any(|&column| column >= size) {
+        return Err(PyValueError::new_err(format!(
+            "expected an order of {size} columns"
+        )));
+    }
+    let inputs = inputs.as_slice().map_err(|_| not_contiguous("inputs"))?;
+    let outputs = outputs.as_slice().map_err(|_| not_contiguous("outputs"))?;
+    let (gram, rows) = py.detach(|| {
+        let records = split(shape, inputs, outputs, &lengths);
+        hankel::gram(shape, &records, depth, &order)
+    });
     Ok((gram.into_pyarray(py).reshape([size, size])?, rows))
+}
+
+/// X = A X A' + B B' for stable A.
+#[pyfunction]
+fn gramian<'py>(
+    py: Python<'py>,
+    a: PyReadonlyArray2<'py, f64>,
+    b: PyReadonlyArray2<'py, f64>,
+) -> PyResult<Bound<'py, PyArray2<f64>>> {
+    let n = a.shape()[0];
+    let (a, b) = (entries(&a, [n, n])?, entries(&b, [n, b.shape()[1]])?);
+    steady_state::gramian(&a, &b, n)
+        .into_pyarray(py)
+        .reshape([n, n])
+}
+
+/// Gain of the steady-state Kalman predictor and covariance of its innovations.
+#[pyfunction]
+#[allow(clippy::type_complexity)]
+fn innovations_gain<'py>(
+    py: Python<'py>,
+    a: PyReadonlyArray2<'py, f64>,
+    c: PyReadonlyArray2<'py, f64>,
+    state: PyReadonlyArray2<'py, f64>,
+    cross: PyReadonlyArray2<'py, f64>,
+    output: PyReadonlyArray2<'py, f64>,
+) -> PyResult<Option<(Bound<'py, PyArray2<f64>>, Bound<'py, PyArray2<f64>>)>> {
+    let (n, p) = (a.shape()[0], c.shape()[0]);
+    let noise = Noise {
+        state: &entries(&state, [n, n])?,
+        cross: &entries(&cross, [n, p])?,
+        output: &entries(&output, [p, p])?,
+    };
+    let (a, c) = (entries(&a, [n, n])?, entries(&c, [p, n])?);
+    steady_state::innovations_gain(&a, &c, noise, n, p)
+        .map(|(gain, covariance)| {
+            Ok((
+                gain.into_pyarray(py).reshape([n, p])?,
+                covariance.into_pyarray(py).reshape([p, p])?,
+            ))
+        })
+        .transpose()
+}
+
+/// Entries of a matrix by rows.
+fn entries(matrix: &PyReadonlyArray2<'_, f64>, shape: [usize; 2]) -> PyResult<Vec<f64>> {
+    if matrix.shape() != shape {
+        return Err(PyValueError::new_err(format!(
+            "expected a matrix {shape:?}, got {:?}",
+            matrix.shape()
+        )));
+    }
+    Ok(matrix.as_array().iter().copied().collect())
 }
 
 /// Stacked records and the sizes of a model for them. `values` are A, B, C, D, K, row-major, and
@@ -132,18 +206,33 @@ impl Innovations {
         stacked.into_pyarray(py).reshape([samples, columns])
     }
 
-    /// J'WJ (size, size) and J'We (size,) with respect to all of `values`; W^-1 = L L'.
+    /// J'WJ (size, size) and J'We (size,) with respect to `values`; W^-1 = L L'.
+    ///
+    /// `entries`: "all"; "linear": B, D and the initial states; "without-feedthrough": B and the
+    /// initial states; "initial-states". Sums with other entries are zero.
     #[allow(clippy::type_complexity)]
     fn normal_equations<'py>(
         &self,
         py: Python<'py>,
         values: PyReadonlyArray1<'py, f64>,
         whitener: PyReadonlyArray2<'py, f64>,
+        entries: &str,
     ) -> PyResult<(Bound<'py, PyArray2<f64>>, Bound<'py, PyArray1<f64>>)> {
+        let entries = match entries {
+            "all" => Entries::All,
+            "linear" => Entries::Linear,
+            "without-feedthrough" => Entries::WithoutFeedthrough,
+            "initial-states" => Entries::InitialStates,
+            _ => {
+                return Err(PyValueError::new_err(format!(
+                    "expected all, linear, without-feedthrough or initial-states, got {entries}"
+                )));
+            }
+        };
         let model = self.model(&values)?;
         let whitener = self.whitener(&whitener)?;
-        let equations =
-            py.detach(|| sensitivity::normal_equations(&model, &self.records(), &whitener));
+        let equations = py
+            .detach(|| sensitivity::normal_equations(&model, &self.records(), &whitener, entries));
         let size = model.values.len();
         Ok((
             equations.hessian.into_pyarray(py).reshape([size, size])?,

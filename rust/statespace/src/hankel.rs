@@ -1,42 +1,47 @@
 //! Products Z'Z of block-Hankel matrices, computed without forming the matrix.
 
+use crate::model::{Record, Shape};
 use strainwave_numerics::products::{Part, Rows, add_products};
 
-/// Z'Z, where row k of Z is [z[k], z[k+1], ..., z[k+depth-1]], for rows z of `width` numbers.
+/// Z'Z, where row k of Z is [z[k], z[k+1], ..., z[k+depth-1]] with samples z = [u, y].
 ///
 /// Only the first block row is summed over the data. Successive blocks of a block diagonal differ
 /// by one sample that enters and one that leaves: G[i+1, j+1] = G[i, j] + z[N+i] z[N+j]' - z[i]
 /// z[j]' (N rows of Z). This takes n_samples width^2 depth products, a factor of depth fewer.
 ///
-/// Records are stacked and contribute n_samples - depth + 1 rows each; shorter records contribute
-/// none. Returns the (depth width, depth width) row-major matrix and the number of rows of Z.
+/// Records contribute n_samples - depth + 1 rows each; shorter records contribute none. `order` is
+/// the permutation of the columns of Z. Returns the row-major matrix and the number of rows of Z.
 ///
 /// # Panics
-/// The lengths do not add up to the rows of `data`.
-pub fn gram(data: &[f64], width: usize, lengths: &[usize], depth: usize) -> (Vec<f64>, usize) {
+/// `order` does not have a column per channel and sample of a row.
+pub fn gram(
+    shape: Shape,
+    records: &[Record<'_>],
+    depth: usize,
+    order: &[usize],
+) -> (Vec<f64>, usize) {
+    let width = shape.inputs + shape.outputs;
     let size = depth * width;
-    assert_eq!(
-        data.len(),
-        lengths.iter().sum::<usize>() * width,
-        "rows of data"
-    );
+    assert_eq!(order.len(), size, "columns of the Hankel matrix");
     let mut total = vec![0.0; size * size];
     let mut rows = 0;
-    let mut start = 0;
-    for &len in lengths {
-        let record = &data[start * width..(start + len) * width];
-        start += len;
-        if len >= depth {
-            rows += len - depth + 1;
-            add_record(&mut total, record, width, len - depth + 1, depth);
+    for record in records.iter().filter(|record| record.len >= depth) {
+        rows += record.len - depth + 1;
+        let mut z = Vec::with_capacity(record.len * width);
+        let inputs = record.inputs.chunks_exact(shape.inputs);
+        for (u, y) in inputs.zip(record.outputs.chunks_exact(shape.outputs)) {
+            z.extend_from_slice(u);
+            z.extend_from_slice(y);
+        }
+        add_record(&mut total, &z, width, record.len - depth + 1, depth);
+    }
+    let mut ordered = vec![0.0; size * size];
+    for (row, &i) in ordered.chunks_exact_mut(size).zip(order) {
+        for (entry, &j) in row.iter_mut().zip(order) {
+            *entry = total[i.min(j) * size + i.max(j)];
         }
     }
-    for i in 0..size {
-        for j in 0..i {
-            total[i * size + j] = total[j * size + i];
-        }
-    }
-    (total, rows)
+    (ordered, rows)
 }
 
 /// Adds the upper block triangle of one record's Z'Z.
@@ -80,6 +85,7 @@ fn add_record(total: &mut [f64], record: &[f64], width: usize, rows: usize, dept
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::model::split;
 
     #[test]
     fn equals_matrix_product() {
@@ -90,14 +96,26 @@ mod tests {
         let lengths = [25, 3, 12];
         let depth = 5;
         let size = depth * width;
-        let (gram, rows) = gram(&data, width, &lengths, depth);
+        let order: Vec<usize> = (0..size).map(|i| i * 7 % size).collect();
+        let column = |channels: std::ops::Range<usize>| -> Vec<f64> {
+            let samples = data.chunks_exact(width);
+            samples.flat_map(|z| z[channels.clone()].to_vec()).collect()
+        };
+        let (inputs, outputs) = (column(0..1), column(1..width));
+        let shape = Shape {
+            order: 1,
+            inputs: 1,
+            outputs: width - 1,
+        };
+        let records = split(shape, &inputs, &outputs, &lengths);
+        let (gram, rows) = gram(shape, &records, depth, &order);
         assert_eq!(rows, 21 + 8);
         let starts: Vec<usize> = (0..21).chain(28..36).collect();
         for i in 0..size {
             for j in 0..size {
                 let plain: f64 = starts
                     .iter()
-                    .map(|k| data[k * width + i] * data[k * width + j])
+                    .map(|k| data[k * width + order[i]] * data[k * width + order[j]])
                     .sum();
                 assert_eq!(gram[i * size + j], plain);
             }

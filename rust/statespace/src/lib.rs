@@ -10,7 +10,8 @@
 //! [`model`] defines models and records. [`predictor`] computes innovations e from data,
 //! [`sensitivity`] their exact derivatives with respect to every entry of every matrix. [`tangent`]
 //! parametrises models without the similarity transformations. [`fit`] is the prediction-error
-//! method. [`hankel`] computes the correlations that subspace methods use.
+//! method. [`hankel`] computes the correlations that subspace methods use, [`steady_state`] Gramians and
+//! the gain of a predictor.
 //!
 //! Matrices are row-major slices; samples are rows.
 
@@ -21,4 +22,5 @@ pub mod model;
 pub mod predictor;
 pub mod sensitivity;
 pub mod stability;
+pub mod steady_state;
 mod tangent;

@@ -14,24 +14,62 @@ pub fn append_innovations(
         inputs: m,
         outputs: p,
     } = model.shape;
-    let (a, b, c, d, k) = (model.a(), model.b(), model.c(), model.d(), model.k());
-    let mut x = model.initial_state(index).to_vec();
-    let mut next = vec![0.0; n];
-    let mut e = vec![0.0; p];
-    for (u, y) in record
-        .inputs
-        .chunks_exact(m)
-        .zip(record.outputs.chunks_exact(p))
-    {
-        for o in 0..p {
-            e[o] = y[o] - dot(&c[o * n..][..n], &x) - dot(&d[o * m..][..m], u);
+    let mut run = Run {
+        model,
+        record,
+        index,
+        innovations,
+    };
+    // Common sizes are compile-time constants, so that their loops are unrolled.
+    match (n, m, p) {
+        (2, 2, 2) => run.append([2, 2, 2], [0.0; 2], [0.0; 2]),
+        (3, 2, 2) => run.append([3, 2, 2], [0.0; 3], [0.0; 2]),
+        (4, 2, 2) => run.append([4, 2, 2], [0.0; 4], [0.0; 2]),
+        (5, 2, 2) => run.append([5, 2, 2], [0.0; 5], [0.0; 2]),
+        (6, 2, 2) => run.append([6, 2, 2], [0.0; 6], [0.0; 2]),
+        _ => run.append([n, m, p], vec![0.0; n], vec![0.0; p]),
+    }
+}
+
+struct Run<'a> {
+    model: &'a Model,
+    record: &'a Record<'a>,
+    index: usize,
+    innovations: &'a mut Vec<f64>,
+}
+
+impl Run<'_> {
+    /// Appends the innovations of a model of given sizes; `x` and `e` are storage for a state and an
+    /// innovation.
+    #[inline(always)]
+    fn append<X: AsMut<[f64]> + Clone, E: AsMut<[f64]>>(
+        &mut self,
+        [n, m, p]: [usize; 3],
+        mut x: X,
+        mut e: E,
+    ) {
+        let model = self.model;
+        let (a, b, c, d, k) = (model.a(), model.b(), model.c(), model.d(), model.k());
+        x.as_mut().copy_from_slice(model.initial_state(self.index));
+        let mut next = x.clone();
+        let inputs = self.record.inputs.chunks_exact(m);
+        for (u, y) in inputs.zip(self.record.outputs.chunks_exact(p)) {
+            let (x_now, x_next, e) = (
+                &x.as_mut()[..n],
+                &mut next.as_mut()[..n],
+                &mut e.as_mut()[..p],
+            );
+            for o in 0..p {
+                e[o] = y[o] - dot(&c[o * n..][..n], x_now) - dot(&d[o * m..][..m], u);
+            }
+            for i in 0..n {
+                x_next[i] = dot(&a[i * n..][..n], x_now)
+                    + dot(&b[i * m..][..m], u)
+                    + dot(&k[i * p..][..p], e);
+            }
+            std::mem::swap(&mut x, &mut next);
+            self.innovations.extend_from_slice(e);
         }
-        for i in 0..n {
-            next[i] =
-                dot(&a[i * n..][..n], &x) + dot(&b[i * m..][..m], u) + dot(&k[i * p..][..p], &e);
-        }
-        std::mem::swap(&mut x, &mut next);
-        innovations.extend_from_slice(&e);
     }
 }
 
