@@ -99,7 +99,8 @@ def _filter_about_line(
     """
     n = len(extended)
     slope = (extended[-1] - extended[0]) / (n - 1)
-    line = extended[0] + np.multiply.outer(np.arange(n), slope)
+    line = np.multiply.outer(np.arange(n, dtype=np.float64), slope)
+    line += extended[0]
     extended -= line
     size = fast_length(n)
     spectrum = np.fft.rfft(extended, size, axis=0)
@@ -137,10 +138,13 @@ def differentiate(signal: FloatArray, sample_time: float) -> FloatArray:
     `signal` (n_samples, ...).
     `sample_time` [s].
     """
+    if len(signal) < 3:
+        return np.gradient(signal, sample_time, axis=0)
     derivative = np.empty_like(signal)
-    ends = min(len(signal), 4)  # samples used for the differences at each end
-    derivative[:2] = np.gradient(signal[:ends], sample_time, axis=0)[:2]
-    derivative[-2:] = np.gradient(signal[-ends:], sample_time, axis=0)[-2:]
+    derivative[0] = (signal[1] - signal[0]) / sample_time
+    derivative[1] = (signal[2] - signal[0]) / (2.0 * sample_time)
+    derivative[-2] = (signal[-1] - signal[-3]) / (2.0 * sample_time)
+    derivative[-1] = (signal[-1] - signal[-2]) / sample_time
     for start in range(2, len(signal) - 2, _MAX_TRANSFORM_SAMPLES):
         stop = min(start + _MAX_TRANSFORM_SAMPLES, len(signal) - 2)
         inner_difference = signal[start + 1 : stop + 1] - signal[start - 1 : stop - 1]

@@ -406,10 +406,11 @@ def _body_equations(
     lags = -arm.motors_of(np.swapaxes(per_link, 1, 2)).swapaxes(1, 2)
     lags -= dgear[:, None] * (arm.transmission.T * _link_viscous_friction(arm, linearised_at))
     lags *= elastic
-    filtered = stretch.filtered(np.concatenate([phi, lags], axis=2))
-    phi, lags = filtered[:, :, : phi.shape[2]], filtered[:, :, phi.shape[2] :]
+    # one filter for all columns: the last is the velocity of the torsion
+    filtered = stretch.filtered(np.concatenate([phi, lags, torsion[1][:, :, None]], axis=2))
+    phi, lags, lag_velocity = np.split(filtered, [phi.shape[2], filtered.shape[2] - 1], axis=2)
+    lag_velocity = lag_velocity[:, :, 0]
     torque = stretch.torque - _payload_torque(arm, stretch, links)
-    lag_velocity = stretch.filtered(c * dgear)
     own_lag = lag_velocity * (1.0 - _motor_shares(arm, linearised_at)) / arm.gear_ratios
     at_links = list(arm.shared_links)
     shared_lag = lag_velocity[:, None, at_links] * arm.transmission[at_links].T
