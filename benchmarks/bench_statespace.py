@@ -2,12 +2,13 @@
 
 The outputs are motor and link velocity of a joint, with coloured and with white noise. The error is
 the relative error of the frequency response from 1 to 100 Hz, root mean square over frequencies.
-Peers, if installed: SLICOT (IB01AD and IB01BD by Cholesky), nfoursid and SIPPY for the subspace
-estimate, jax-sysid for the fit.
+Peers, if installed: SLICOT (IB01AD and IB01BD by Cholesky, also with IB01CD), nfoursid and SIPPY
+for the subspace estimate, jax-sysid for the fit.
 """
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable
 from functools import partial
 
@@ -34,6 +35,8 @@ NOISE = np.array([0.3, 0.005])  # [rad/s]
 def rows() -> list[Row]:
     from threadpoolctl import threadpool_limits
 
+    with contextlib.suppress(ImportError):  # the limit holds for libraries that are loaded
+        import ctrlsys  # noqa: F401
     table = []
     with threadpool_limits(1):
         for samples, goal in ((512, 10e-3), (20_000, 150e-3)):
@@ -75,7 +78,12 @@ def _subspace(samples: int) -> list[Row]:
         _compare(name, *timing, "SLICOT, MOESP, Cholesky", slicot, data)
         for name, timing in zip(names, timings, strict=True)
     ]
-    for peer, peer_name in ((nfoursid, "nfoursid"), (sippy, "SIPPY, N4SID")):
+    least_squares = partial(slicot, all_samples=True)
+    for peer, peer_name in (
+        (least_squares, "SLICOT, B by least squares"),
+        (nfoursid, "nfoursid"),
+        (sippy, "SIPPY, N4SID"),
+    ):
         table.append(_compare(names[1], *timings[1], peer_name, peer, data))
     return table
 

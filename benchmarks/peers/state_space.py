@@ -13,10 +13,13 @@ from strainwave.domain import FloatArray
 Matrices = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 
 
-def slicot(u: FloatArray, y: FloatArray, order: int, horizon: int) -> Matrices:
+def slicot(
+    u: FloatArray, y: FloatArray, order: int, horizon: int, *, all_samples: bool = False
+) -> Matrices:
     """IB01AD with the fast Cholesky factorisation, and IB01BD on scaled signals.
 
-    A and C by MOESP, B and D by N4SID; B and D by MOESP have errors of their own size here.
+    A and C by MOESP, B and D by N4SID; B and D by MOESP have errors of their own size here. With
+    `all_samples`, IB01CD estimates B and the initial state by least squares over all samples.
     """
     import ctrlsys
 
@@ -25,6 +28,10 @@ def slicot(u: FloatArray, y: FloatArray, order: int, horizon: int) -> Matrices:
     scaled = np.asfortranarray(u / us), np.asfortranarray(y / ys)
     R = ctrlsys.ib01ad("M", "C", "N", "O", "N", "N", horizon, m, p, *scaled, 0.0, -1.0)[1]
     A, C, B, D, *_ = ctrlsys.ib01bd("C", "A", "K", horizon, order, m, p, samples, R, 0.0)
+    if all_samples:
+        A, B, C, D = (np.asfortranarray(part) for part in (A, B, C, D))
+        _, B, *_ = ctrlsys.ib01cd("X", "C", "B", order, m, p, A, B, C, D, *scaled, 0.0)
+        D = np.zeros_like(D)
     return A, B / us, C * ys[:, None], D * ys[:, None] / us
 
 
