@@ -139,7 +139,7 @@ def differentiate(signal: FloatArray, sample_time: float) -> FloatArray:
     `sample_time` [s].
     """
     if len(signal) < 3:
-        return np.gradient(signal, sample_time, axis=0)
+        return np.asarray(np.gradient(signal, sample_time, axis=0), dtype=np.float64)
     derivative = np.empty_like(signal)
     derivative[0] = (signal[1] - signal[0]) / sample_time
     derivative[1] = (signal[2] - signal[0]) / (2.0 * sample_time)
