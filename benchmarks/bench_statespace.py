@@ -78,7 +78,7 @@ def _subspace(samples: int) -> list[Row]:
         _compare(name, *timing, "SLICOT, MOESP, Cholesky", slicot, data)
         for name, timing in zip(names, timings, strict=True)
     ]
-    least_squares = partial(slicot, all_samples=True)
+    least_squares: Tool = partial(slicot, all_samples=True)
     for peer, peer_name in (
         (least_squares, "SLICOT, B by least squares"),
         (nfoursid, "nfoursid"),

@@ -220,10 +220,10 @@ def _predictor_directions(factors: Factors, past: int) -> tuple[FloatArray, Floa
     R = factors.regression(past)
     lead = m + past * width
     coefficients = _solve_upper(R[:lead, :lead], R[:lead, lead:])[m:].T
-    rows = np.zeros((past, p, past * width))
+    block_rows = np.zeros((past, p, past * width))
     for j in range(past):
-        rows[j, :, : (past - j) * width] = coefficients[:, j * width :]
-    rows = rows.reshape(past * p, past * width)
+        block_rows[j, :, : (past - j) * width] = coefficients[:, j * width :]
+    rows = block_rows.reshape(past * p, past * width)
     # a square triangular factor has the same left vectors and a faster decomposition
     U, s, _ = np.linalg.svd(_qr_factor(R[:lead, m:lead] @ rows.T).T)
     return rows, U, s
