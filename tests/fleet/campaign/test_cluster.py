@@ -140,9 +140,9 @@ def test_a_run_recorded_by_a_dying_worker_is_not_repeated(tmp_path: Path) -> Non
     [
         (Future("error", ModuleNotFoundError("No module 's'")), sw.InvalidInput, "No module 's'"),
         (Future("error", sw.InvalidInput("does not start")), sw.InvalidInput, "does not start"),
-        (Future("cancelled"), cluster.ClusterLost, "scheduler is lost"),
-        (Future("finished", OSError("in <TCP>: closed")), cluster.ClusterLost, "scheduler is"),
-        (Future("finished", CancelledError()), cluster.ClusterLost, "scheduler is lost"),
+        (Future("cancelled"), dask_cluster.ClusterLost, "scheduler is lost"),
+        (Future("finished", OSError("in <TCP>: closed")), dask_cluster.ClusterLost, "scheduler is"),
+        (Future("finished", CancelledError()), dask_cluster.ClusterLost, "scheduler is lost"),
     ],
 )
 def test_other_errors_of_workers_end_the_campaign(
@@ -156,8 +156,8 @@ def test_other_errors_of_workers_end_the_campaign(
 @pytest.mark.parametrize(
     ("client", "error"),
     [
-        (Future("closed", RuntimeError("the client is closed")), cluster.ClusterLost),
-        (Future("running", OSError("in <TCP>: closed")), cluster.ClusterLost),
+        (Future("closed", RuntimeError("the client is closed")), dask_cluster.ClusterLost),
+        (Future("running", OSError("in <TCP>: closed")), dask_cluster.ClusterLost),
         (Future("running", TypeError("a bug")), TypeError),
     ],
 )

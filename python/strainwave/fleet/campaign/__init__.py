@@ -28,6 +28,7 @@ from strainwave.fleet.campaign.store import Store
 from strainwave.fleet.campaign.study_files import CaseSelection, find, is_url
 from strainwave.io import atomic_files
 from strainwave.io.study.reader import Reader, parse_flag
+from strainwave.numerics.dask_cluster import ClusterLost
 
 __all__ = ["RunLimits", "Settings", "Summary", "run"]
 
@@ -253,7 +254,7 @@ def _follow(outcomes: Iterator[Outcome], store: Store, tally: Tally) -> str:
             tally.add(outcome)
             if not outcome.skipped:
                 atomic_files.written.append(Path(store.where) / "runs" / outcome.run)
-    except cluster.ClusterLost as error:
+    except ClusterLost as error:
         return f"{error}; the same command continues from the recorded runs"
     return ""
 
