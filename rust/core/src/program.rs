@@ -367,8 +367,7 @@ impl<A: Arm<N>, const N: usize> Programs<A, N> {
         }
         let has_forward = task.config.is_elastic()
             && (!task.config.has_plant_effects()
-                || !task.config.has_coupled_errors()
-                    && without_plant_effects(&task.config, member.parameters).is_some());
+                || without_plant_effects(&task.config, member.parameters).is_some());
         match width {
             Width::Avx512 if !has_forward => (self.general.dual_numbers_avx512)(request),
             _ if !has_forward => (self.general.dual_numbers)(request),

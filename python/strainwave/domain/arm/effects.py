@@ -91,9 +91,6 @@ class Effect:
     tested_law: str | None = None
     fitted_law: str | None = None  # gear law in a fit with the effect; None: the law stays
     needs_elastic_gear: bool = False  # whether only elastic gears can have the effect
-    # Whether it moves the output of the gear, and with it all joints behind a transmission. The
-    # core then differentiates over dual numbers, which takes longer.
-    moves_output: bool = False
     first_joint_only: bool = False  # whether only the first joint can have the effect
     moves_link_encoder: bool = False  # moves its zero, so that it measures no absolute angle
     by_record: bool = False  # whether each record has its own sizes, named by `of_record`

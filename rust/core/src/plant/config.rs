@@ -299,15 +299,6 @@ impl<A: Arm<N>, const N: usize> Config<A, N> {
         self.joints().iter().any(is_on_plant)
     }
 
-    /// Whether any gear with a kinematic error moves several joints, or its joint has several motors.
-    pub(crate) fn has_coupled_errors(&self) -> bool {
-        let has_error = |i: usize| self.joints[i].effects.kinematic_error;
-        let Some(transmission) = self.arm.transmission() else {
-            return false;
-        };
-        (0..self.arm.joints()).any(|i| has_error(i) && transmission.couples(i))
-    }
-
     /// Current loops for an integrator of step `h` [s].
     pub fn current_loop<R: Real>(&self, h: f64) -> CurrentLoop<R, N> {
         CurrentLoop::new(

@@ -7,7 +7,7 @@
 //! derivatives of the fit.
 
 use crate::arm::Arm;
-use crate::arm::transmission::{coupled, motor_of, outputs_of};
+use crate::arm::transmission::{coupled, motor_of, outputs_of, share};
 use crate::joint::effects::{
     AffectedTerms, BaseTorque, Effect, EffectKinds, Effects, FlexibleLink, Hysteresis,
     PartDeflection, Size, SoftBase,
@@ -16,7 +16,9 @@ use crate::joint::gear::{Gears, Spring};
 use crate::plant::config::{Config, Role};
 use crate::plant::{Modes, Plant, State, angle_in_space};
 use crate::scalar::{Jet, Real};
-use crate::sensitivity::forcing::{GEAR_EFFECTS, LINK_EFFECTS, MOTOR_EFFECTS, Quads};
+use crate::sensitivity::forcing::{
+    GEAR_EFFECTS, LINK_EFFECTS, MOTOR_EFFECTS, Quads, coupled_slot, moves_coupled,
+};
 use crate::sensitivity::holding::Holding;
 use crate::sensitivity::trace::{Stage, Stages, Trace};
 
@@ -44,7 +46,7 @@ type SecondOrderState = [f64; 2];
 pub(crate) struct OneSize<L> {
     /// Index among the parameters of the joint's effects.
     pub(crate) position: usize,
-    size: Size,
+    pub(crate) size: Size,
     /// The effects with the derivative of this size, for stages in lanes and for one instant.
     effects: Effects<Jet<L>>,
     scalar_effects: Effects<Jet<f64>>,
@@ -76,7 +78,8 @@ pub(crate) struct SizeDerivatives<R> {
     pub(crate) motor: R,
     /// Derivative of the gear torque.
     pub(crate) gear: R,
-    /// Derivative of the local ratio.
+    /// Derivatives of the error of the gear's output and of the local ratio.
+    pub(crate) error: R,
     pub(crate) local_ratio: R,
     /// Derivative of the load torque on the link, or on the link and all preceding links.
     pub(crate) link: R,
@@ -90,6 +93,7 @@ impl<R: Real> SizeDerivatives<R> {
             friction: zero,
             motor: zero,
             gear: zero,
+            error: zero,
             local_ratio: zero,
             link: zero,
         };
@@ -113,7 +117,7 @@ impl<R: Real> SizeDerivatives<R> {
             let hysteresis = effects.gear_torque(Jet::constant(at.z)).tangent;
             let strained = error + strain + base_angle;
             derivatives.gear = at.stiffness.mul_add(strained, damped + hysteresis);
-            derivatives.local_ratio = slope;
+            (derivatives.error, derivatives.local_ratio) = (error, slope);
         }
         if affects.link {
             derivatives.link = effects.load(Jet::constant(at.link_angle)).tangent;
@@ -135,10 +139,11 @@ impl<L: Real> OneSize<L> {
         holding: &Holding<S, N>,
         joint: usize,
         (z, base): (f64, BaseTorque<f64>),
+        [motor_angle, motor_velocity]: [f64; 2],
     ) -> SizeDerivatives<f64> {
         let instant = JointInstant {
-            motor_angle: holding.motor_angle,
-            motor_velocity: holding.speed,
+            motor_angle,
+            motor_velocity,
             link_angle: 0.0, // the load on the link does not hold the motor
             angle_in_space: 0.0,
             torsion: holding.torsion[joint].angle.lane(0),
@@ -277,6 +282,22 @@ impl<L: Real, const N: usize> EffectSensitivity<L, N> {
                         of_joint[GEAR_EFFECTS + quad].0[stage][slot] = derivatives.gear.lane(lane);
                         of_joint[MOTOR_EFFECTS + quad].0[stage][slot] = motor.lane(lane);
                         of_joint[LINK_EFFECTS + quad].0[stage][slot] = derivatives.link.lane(lane);
+                    }
+                    if !moves_coupled(&plant.arm, i, size.size) {
+                        continue;
+                    }
+                    let (quad, slot) = coupled_slot(i, size.size);
+                    let rate = derivatives.local_ratio * instant.motor_velocity;
+                    for k in 0..plant.arm.joints() {
+                        let torsion = trace.across::<L>(first, |stage| stage.torsion[k]);
+                        let moved = &plant.joints[k];
+                        let stiffness = moved.spring.stiffness(torsion);
+                        let torque =
+                            stiffness.mul_add(derivatives.error, moved.gear_damping * rate);
+                        let of_gear = torque * share(&plant.arm, k, i);
+                        for lane in 0..L::LANES {
+                            quads[k][quad].0[first + lane][slot] = of_gear.lane(lane);
+                        }
                     }
                 }
             }

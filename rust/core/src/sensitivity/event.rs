@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use crate::arm::Arm;
-use crate::arm::transmission::coupled;
+use crate::arm::transmission::{coupled, share};
 use crate::joint::effects::EFFECT_PARAMETER_COUNT;
 use crate::joint::gear::{Gears, MAX_LAW_PARAMETERS, Spring};
 use crate::joint::transmission::DRIVE;
@@ -12,6 +12,7 @@ use crate::plant::config::JointConfig;
 use crate::plant::friction::Motion;
 use crate::scalar::Real;
 use crate::sensitivity::effect::EffectSensitivity;
+use crate::sensitivity::forcing::moves_coupled;
 use crate::sensitivity::holding::Holding;
 use crate::sensitivity::tangent::Tangent;
 
@@ -78,8 +79,13 @@ impl<const N: usize> EventSensitivity<N> {
             slopes.motor[i] = by_torque * holding.by_motor[i] / half;
             slopes.link[i] = by_torque * holding.by_link[i] / half;
         }
-        slopes.by_parameter =
-            by_parameters(plant, requested, effects, &holding, [by_torque, scale]);
+        slopes.by_parameter = by_parameters(
+            plant,
+            requested,
+            effects,
+            (&holding, end),
+            [by_torque, scale],
+        );
         slopes
     }
 
@@ -116,7 +122,7 @@ fn by_parameters<A: Arm<N>, S: Real, G: Gears, L: Real, const N: usize>(
     plant: &Plant<A, S, G, N>,
     requested: &[JointConfig; N],
     effects: Option<&EffectSensitivity<L, N>>,
-    holding: &Holding<S, N>,
+    (holding, end): (&Holding<S, N>, &Motion<S, N>),
     [by_torque, scale]: [f64; 2],
 ) -> [[f64; MAX_JOINT_PARAMETERS]; N] {
     let mut all = [[0.0; MAX_JOINT_PARAMETERS]; N];
@@ -143,8 +149,19 @@ fn by_parameters<A: Arm<N>, S: Real, G: Gears, L: Real, const N: usize>(
         let by_gear = by_torque * holding.by_gear[i];
         for size in effects.of(i) {
             let state = (effects.z[i], effects.base(i));
-            let derivatives = size.at_event(holding, i, state);
+            let of_motor = [end.state.motor_angle[i], end.state.motor_velocity[i]];
+            let of_motor = of_motor.map(|one| one.lane(0));
+            let derivatives = size.at_event(holding, i, state, of_motor);
             let mut slope = by_gear * derivatives.gear;
+            if moves_coupled(&plant.arm, i, size.size) {
+                let rate = derivatives.local_ratio * of_motor[1];
+                let by_moved = |k: usize| {
+                    let torque =
+                        holding.stiffness[k] * derivatives.error + holding.damping[k] * rate;
+                    by_torque * holding.by_gear[k] * share(&plant.arm, k, i) * torque
+                };
+                slope = holding.coupled.clone().map(by_moved).sum();
+            }
             if i == holding.joint {
                 slope = slope - by_torque * derivatives.local_ratio * holding.transmitted
                     + by_torque * derivatives.motor

@@ -8,6 +8,7 @@
 use std::collections::BTreeMap;
 
 use crate::arm::Arm;
+use crate::arm::transmission::share;
 use crate::experiment::Source;
 use crate::joint::effects::{AffectedTerms, EFFECT_SIZE_COUNT, Size};
 use crate::joint::transmission::DRIVE;
@@ -44,10 +45,13 @@ pub(crate) const GEAR_EFFECTS: usize = MOTOR_EFFECTS + EFFECT_QUADS;
 pub(crate) const LINK_VISCOUS_QUAD: usize = GEAR_EFFECTS + EFFECT_QUADS;
 /// First quad of the sizes of effects, in the link's row.
 pub(crate) const LINK_EFFECTS: usize = LINK_VISCOUS_QUAD + 1;
+/// First quad of the sizes of effects that move the outputs of coupled gears, in the rows of the
+/// gears; see [`coupled_slot`].
+const COUPLED_GEAR: usize = LINK_EFFECTS + EFFECT_QUADS;
 /// Number of quads for the sizes of effects.
 const EFFECT_QUADS: usize = EFFECT_SIZE_COUNT.div_ceil(4);
 /// Number of quads of a joint.
-const QUADS: usize = LINK_EFFECTS + EFFECT_QUADS;
+const QUADS: usize = COUPLED_GEAR + 4;
 /// Quads of each joint.
 pub(crate) type Quads<const N: usize> = [[Quad; QUADS]; N];
 
@@ -59,7 +63,7 @@ pub(crate) fn zero_quads<const N: usize>() -> Quads<N> {
 fn row(quad: usize) -> Row {
     match quad {
         MOTOR | MOTOR_EFFECTS..GEAR_EFFECTS => Row::Motor,
-        GEAR..MOTOR_EFFECTS | GEAR_EFFECTS..LINK_VISCOUS_QUAD => Row::Gear,
+        GEAR..MOTOR_EFFECTS | GEAR_EFFECTS..LINK_VISCOUS_QUAD | COUPLED_GEAR.. => Row::Gear,
         _ => Row::Link,
     }
 }
@@ -93,9 +97,17 @@ fn locations<A: Arm<N>, const N: usize>(config: &Config<A, N>) -> Vec<Vec<Locati
         // other parameters of an effect have no influence at size zero
         Role::Effect(k) => match config.joints[i].effects.parameters()[k].size {
             Some(size) => {
+                let moves_others = moves_coupled(&config.arm, i, size);
                 let mut all: Vec<_> = effect_rows(size)
+                    .filter(|&quad| !(moves_others && quad == GEAR_EFFECTS))
                     .map(|quad| at(i, quad, size.index))
                     .collect();
+                if moves_others {
+                    let moved =
+                        (0..config.arm.joints()).filter(|&k| share(&config.arm, k, i) != 0.0);
+                    let (quad, slot) = coupled_slot(i, size);
+                    all.extend(moved.map(|k| at(k, quad, slot)));
+                }
                 if size.affects.weight {
                     let weight_location = at(i, LINK_EFFECTS, size.index);
                     let first = first_bearing::<A, N>(i);
@@ -112,12 +124,26 @@ fn locations<A: Arm<N>, const N: usize>(config: &Config<A, N>) -> Vec<Vec<Locati
     config.roles().into_iter().map(location).collect()
 }
 
+/// Whether a size of an effect of a joint moves the output of a gear that is coupled with others.
+#[inline(always)]
+pub(crate) fn moves_coupled<A: Arm<N>, const N: usize>(arm: &A, joint: usize, size: Size) -> bool {
+    size.affects.output && arm.transmission().is_some_and(|one| one.couples(joint))
+}
+
+/// Quad and slot, in the row of each gear, of a size that moves the output of a motor's gear.
+#[inline(always)]
+pub(crate) fn coupled_slot(motor: usize, size: Size) -> (usize, usize) {
+    let slot = 2 * motor + size.index % 2;
+    (COUPLED_GEAR + slot / 4, slot % 4)
+}
+
 /// First quads of the rows of its joint that an effect changes.
 fn effect_rows(size: Size) -> impl Iterator<Item = usize> {
     let AffectedTerms {
         friction,
         motor,
         gear,
+        output: _, // included in `gear` and `motor`
         link,
         weight: _, // it affects the rows of other joints as well
         drive: _,  // the motor's torque has separate derivatives

@@ -17,7 +17,6 @@ pub(crate) struct Holding<S, const N: usize> {
     pub(crate) coupled: Range<usize>,
     pub(crate) ratio: f64,
     pub(crate) inertia: f64,
-    pub(crate) motor_angle: f64,
     /// dtheta_M [rad/s].
     pub(crate) speed: f64,
     /// 1/tau; zero for an instant stop.
@@ -76,7 +75,6 @@ impl<S: Real, const N: usize> Holding<S, N> {
             coupled: coupled(arm, joint),
             ratio,
             inertia,
-            motor_angle: plain(x.motor_angle[joint]),
             speed: plain(x.motor_velocity[joint]),
             settling,
             torque: plain(plant.holding_torques(x, &end.torque, &end.modes)[joint]),

@@ -310,16 +310,13 @@ class EffectColumns:
         """The columns of effects in addition to those of a fit.
 
         All effects at the first of their shapes share one simulation, and so do those of each
-        further number; effects that move several joints and other gear laws have their own. Raises
-        `InvalidInput` or `NumericalFailure` if the arm with effects cannot be simulated with finite
-        derivatives.
+        further number; other gear laws have their own. Raises `InvalidInput` or `NumericalFailure`
+        if the arm with effects cannot be simulated with finite derivatives.
         """
         objective, n = fit.objective, len(fit.space.unknowns)
-        passes: dict[tuple[int, bool, bool], dict[EffectHypothesis, Shapes]] = {}
+        passes: dict[tuple[int, bool], dict[EffectHypothesis, Shapes]] = {}
         for one, shapes in tested.items():
-            effect = effect_named(one.effect)
-            moves_joints = one.joint in arm.coupled_joints and effect.moves_output
-            key = one.number, moves_joints, effect.tested_law is not None
+            key = one.number, effect_named(one.effect).tested_law is not None
             passes.setdefault(key, {})[one] = shapes
         sizes = {
             one: sizes_of(one.named_effect, fit.records)

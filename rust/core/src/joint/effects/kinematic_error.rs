@@ -41,6 +41,7 @@ impl<R: Real> Effect<R> for KinematicError<R> {
         of_gear: true,
         affects: AffectedTerms {
             gear: true,
+            output: true,
             motor: true,
             ..NO_TERMS
         },

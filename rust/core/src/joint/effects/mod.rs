@@ -55,6 +55,8 @@ pub struct AffectedTerms {
     pub motor: bool,
     /// Torque of the gear.
     pub gear: bool,
+    /// Angle of the gear's output.
+    pub output: bool,
     /// Load on the link. An effect affects this term or `weight`, not both.
     pub link: bool,
     /// Load on the link and on all preceding links.
@@ -68,6 +70,7 @@ pub const NO_TERMS: AffectedTerms = AffectedTerms {
     friction: false,
     motor: false,
     gear: false,
+    output: false,
     link: false,
     weight: false,
     drive: false,
@@ -161,7 +164,7 @@ pub trait Effect<R: Real>: Copy + Send + Sync {
     }
 
     /// Error of the link's angle [rad], and its derivative with respect to the motor's angle;
-    /// affects `gear` and `motor`.
+    /// affects `gear`, `output` and `motor`.
     #[inline(always)]
     fn error(&self, _motor_angle: R) -> [R; 2] {
         [R::splat(0.0); 2]
