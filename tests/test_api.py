@@ -31,6 +31,7 @@ from strainwave.export import arm_of
 from strainwave.export.linear_models import joint_model, joint_model_covariance
 from strainwave.identification.joint_model.agreement import motor_response
 from strainwave.io import results
+from strainwave.numerics import dask_cluster
 
 
 @cache
@@ -530,6 +531,14 @@ def test_the_same_input_gives_the_same_result_for_any_number_of_threads(tmp_path
             del document[varying]
         del document["study"]["path"]
     assert documents[0] == documents[1]
+
+
+def test_a_scheduler_that_does_not_answer_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("distributed")
+    monkeypatch.setattr(dask_cluster, "_CONNECT_TIMEOUT_S", 0.3)
+    with pytest.raises(sw.InvalidInput, match="no Dask scheduler answers") as caught:
+        sw.identify(STUDY, scheduler="tcp://127.0.0.1:1")
+    assert caught.value.where == "tcp://127.0.0.1:1"
 
 
 def test_no_threads_are_refused() -> None:

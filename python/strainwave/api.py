@@ -88,6 +88,7 @@ def identify(
     progress: Progress = ignore_progress,
     cancel: threading.Event | Callable[[], bool] | None = None,
     threads: int | None = None,
+    scheduler: str | None = None,
 ) -> Result:
     """Identify an arm from its logs.
 
@@ -114,6 +115,9 @@ def identify(
         The run ends when the event is set or the function returns true.
     threads : int, optional
         Number of threads; by default one per core.
+    scheduler : str, optional
+        Address of a Dask scheduler, "tcp://host:8786", whose workers evaluate the records of a
+        large whole-arm fit.
 
     Returns
     -------
@@ -142,6 +146,7 @@ def identify(
             start=Path(start) if isinstance(start, str) else start,
             progress=events.put,
             threads=threads,
+            scheduler=scheduler,
         )
 
     def report_progress() -> None:
