@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
 
 from effect_runs import ALIKE, EVERY, OF_THE_CORE, SHARES, whole_arm
-from strainwave.domain import ArmModel
+from strainwave.domain import ArmModel, WholeArmOptions
 from strainwave.domain.arm.effects import KnownJoint, all_effects, effect_named
 from strainwave.domain.arm.gear_laws import STIFFNESS
 from strainwave.dynamics.arm import Arm
@@ -210,6 +212,19 @@ def test_rivals_are_fitted_within_their_budget() -> None:
     assert "hysteresis of joint 1" in warning.message
     assert "rival_effort" in warning.message
     assert unfitted.values == named.values
+
+
+@pytest.mark.parametrize(
+    ("joints", "evaluations", "linearised"), [(1, 124, 6), (2, 124, 6), (3, 55, 2), (7, 10, 0)]
+)
+def test_the_budget_of_fits_buys_fewer_of_more_joints(
+    joints: int, evaluations: int, linearised: int
+) -> None:
+    record = SimpleNamespace(time=np.zeros(9_670), arm=SimpleNamespace(n_joints=joints))
+    fit = SimpleNamespace(objective=SimpleNamespace(records=[record]))
+    budget = causes._Budget(cast("Fit", fit), WholeArmOptions())
+    assert (budget.evaluations, budget.remaining) == (evaluations, evaluations)
+    assert budget.linearised == linearised
 
 
 def test_a_large_part_of_a_link_starts_with_the_compliance_and_inertia_of_slow_torsion() -> None:

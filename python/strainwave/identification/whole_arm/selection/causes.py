@@ -78,8 +78,8 @@ MIN_EXPLAINED_SHARE = 0.25  # of the cost; below, further effects of the joint a
 MIN_RIVAL_GAIN_SHARE = 0.4  # of the best effect's linear gain
 MAX_REFIT_EVALUATIONS = 20  # of each search; most converge in 4 to 9, added inertias in 15
 RIVAL_ROWS = 1_200_000
-"""Budget of fits with one additional effect, in evaluated residual rows: 124 evaluations of a study
-of 9,700 rows, about a minute of one core."""
+"""Budget of fits with one additional effect, in evaluated residual rows of two joints: 124
+evaluations of a study of 9,700 rows, about a minute of one core."""
 REFIT_GAIN_TOLERANCE = 0.1  # predicted cost reduction at which a search ends
 MIN_ACHIEVED_GAIN_SHARE = 0.5  # share of the linear gain below which a second start is tried
 LARGE_PART = 1.0 / 3.0  # of a link's inertia, of a vibrating part of it
@@ -161,9 +161,13 @@ class _Budget:
     """Evaluations available for fits with one additional effect."""
 
     def __init__(self, fit: Fit, options: WholeArmOptions) -> None:
-        n_rows = sum(len(record.time) for record in fit.objective.records)
-        self.evaluations = int(options.rival_effort * RIVAL_ROWS / n_rows)
+        records = fit.objective.records
+        n_rows = sum(len(record.time) for record in records)
+        # of a row, relative to two joints: the numbers of joints and of unknowns both rise
+        price = max(1.0, (records[0].arm.n_joints / 2.0) ** 2)
+        self.evaluations = int(options.rival_effort * RIVAL_ROWS / (n_rows * price))
         self.remaining = self.evaluations
+        self.linearised = int(MAX_LINEARISED_EFFECTS / price)
         self.excluded: list[NamedEffect] = []
 
     @property
@@ -327,7 +331,7 @@ def _rivals_of(
         rivals += _fit_rivals(starts, further[:MAX_OTHER_EFFECTS], selection, budget)
     known = {rival.named_effect for rival in rivals}
     others = [one for one in promising if one.named_effect not in known]
-    for one in others[:MAX_LINEARISED_EFFECTS]:
+    for one in others[: budget.linearised]:
         attempts = (_linearise(start, one, selection) for start in starts)
         rivals += [rival for rival in attempts if rival is not None][:1]
     if not rivals:
