@@ -356,9 +356,7 @@ def test_a_cliff_ends_the_search_at_its_edge() -> None:
     assert 0.4 < result.x[0] <= 0.5
 
 
-def test_near_the_minimum_a_jump_of_the_cost_ends_the_search_without_another_linearisation() -> (
-    None
-):
+def test_a_jump_of_the_cost_ends_a_rough_search_without_another_linearisation() -> None:
     looked_at = []
 
     def cost(x: FloatArray) -> float:

@@ -144,18 +144,18 @@ def minimise(
         is_small_gain = gain < max(
             _MIN_PREDICTED_TOLERANCES * tolerance, _MIN_PREDICTED_COST_SHARE * current.cost
         )
-        limit = partial(space.limit_step, x, share=trusted_share)
-        damping, predicted, step = _descending_step(current.factor, damping, is_free, limit)
         ends = (
             (gain < gain_tolerance, SearchEnd.CONVERGED),
             (is_discontinuous or (stalled and is_small_gain), SearchEnd.STALLED),
             (evaluations >= max_evaluations, SearchEnd.EVALUATION_LIMIT),
-            # of limited steps
-            (stalled and not was_rejected and predicted < gain_tolerance, SearchEnd.STALLED),
         )
         for is_reached, end in ends:
             if is_reached:
                 return Minimum(x, current, evaluations, end)
+        limit = partial(space.limit_step, x, share=trusted_share)
+        damping, predicted, step = _descending_step(current.factor, damping, is_free, limit)
+        if stalled and not was_rejected and predicted < gain_tolerance:  # of limited steps
+            return Minimum(x, current, evaluations, SearchEnd.STALLED)
         evaluations, candidate = evaluations + 1, None
         trial, plain_cost = space.move(x, step), -np.inf
         if cost and (near or was_rejected):
@@ -203,20 +203,24 @@ def _try_step(
     A step to less than `least_cost` is doubled as long as the cost decreases: in some curved
     valleys all steps are too short.
     """
-    trial, found = move(step), cost(move(step))
+    trial = move(step)
+    found = cost(trial)
     while found is not None and found < least_cost:
-        longer = 2.0 * step
-        longer_cost = cost(move(longer)) if np.array_equal(limit(longer), longer) else None
+        step = 2.0 * step
+        if not np.array_equal(limit(step), step):
+            break
+        longer = move(step)
+        longer_cost = cost(longer)
         if longer_cost is None or longer_cost >= found:
             break
-        trial, found, step = move(longer), longer_cost, longer
+        trial, found = longer, longer_cost
     return trial, np.inf if found is None else found
 
 
 def _descending_step(
     factor: FloatArray, damping: float, free: BoolArray, limit: Callable[[FloatArray], FloatArray]
 ) -> tuple[float, float, FloatArray]:
-    """The least damping from the given one whose limited step decreases the cost; gain and step."""
+    """Damping, raised until a limited step should decrease the cost, with its gain and the step."""
     while True:
         predicted, step = _trusted_step(factor, damping, free, limit)
         if predicted > 0.0 or damping >= _MAX_DAMPING:

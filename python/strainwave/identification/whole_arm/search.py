@@ -46,8 +46,8 @@ _MAX_DECREASED_RATIO = 0.7
 # Maximum evaluations with the same weights near the minimum. If the model lacks an effect, the cost
 # is rough, and slow progress would use up the evaluations before the effect is found.
 _MAX_EVALUATIONS_PER_WEIGHTS = 20
-_NEAR_DAMPING = 1e-8  # initial damping near the minimum
 _MAX_CORRECTIONS_AHEAD = 4  # Gauss-Newton steps of a stalled search; one is usual
+_NEAR_DAMPING = 1e-8  # initial damping near the minimum
 _PUBLISHED_TOLERANCE = (
     1e-4  # relative change of cost or coordinates at which tuning as published ends
 )

@@ -190,3 +190,6 @@ def test_a_tilt_of_an_upright_joint_is_one_with_its_gravity() -> None:
     torque = model.values["gravity_torque_1", None] + model.values.get(("tilt_cos", 1), 0.0)
     # 0.5 s of motion within 0.2 rad determines the torque to 7 % or worse
     assert torque == pytest.approx(15.0 + EVERY["tilt_cos", 1], rel=0.1)
+    (gravity,) = (p for p in model.parameters if p.name == "gravity_torque_1")
+    assert gravity.std is not None
+    assert abs(torque - 15.0 - EVERY["tilt_cos", 1]) < 2.0 * gravity.std

@@ -125,7 +125,9 @@ def _tested(
 def lengthen_steps(fit: Fit) -> Fit:
     """The fit with long integrator steps, which are sufficient for derivatives by effects."""
     objective = fit.objective.lengthen_steps(fit.z)
-    return fit if objective is fit.objective else replace(fit, objective=objective)
+    # long steps may end a row earlier, so the cost differs
+    cost = None if objective is fit.objective else objective.cost(fit.z)
+    return fit if cost is None else replace(fit, objective=objective, cost=cost)
 
 
 def _missing_effects(fit: Fit, arm: Arm) -> list[NamedEffect]:

@@ -158,7 +158,7 @@ class ModelComparison:
 
 
 class _Budget:
-    """Evaluations available for fits with one additional effect."""
+    """Evaluations available for fits with one additional effect, and linearised effects."""
 
     def __init__(self, fit: Fit, options: WholeArmOptions) -> None:
         records = fit.objective.records
@@ -331,6 +331,8 @@ def _rivals_of(
         rivals += _fit_rivals(starts, further[:MAX_OTHER_EFFECTS], selection, budget)
     known = {rival.named_effect for rival in rivals}
     others = [one for one in promising if one.named_effect not in known]
+    unaffordable = others[budget.linearised : MAX_LINEARISED_EFFECTS]
+    budget.excluded += [one.named_effect for one in unaffordable]
     for one in others[: budget.linearised]:
         attempts = (_linearise(start, one, selection) for start in starts)
         rivals += [rival for rival in attempts if rival is not None][:1]
