@@ -31,7 +31,7 @@ error depends on the same motion as the derivatives, so neither spectra nor segm
 averages out: its share of the variance is at least that of the local one.
 
 Two engines differ by 1e-4 of an inertia or stiffness, however small the noise: no standard
-deviation of a positive parameter is smaller.
+deviation of an unknown without sign is smaller. Base parameters of chains are signed.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ Residuals contain no errors of parameters that no record identifies.
 """
 
 SIMULATION_ERROR = 1e-4
-"""Standard deviation of a positive parameter by errors of simulations, relative to its value."""
+"""Standard deviation of an unknown without sign by errors of simulations, relative to its value."""
 
 _MIN_INFORMATION = 1e-30  # information of a parameter that no record depends on
 _MIN_VARIANCE_RATIO = 1e-6  # lower limit of a variance of prior residuals, relative to the prior
