@@ -27,7 +27,7 @@ from typing import Self
 
 import numpy as np
 
-from strainwave.domain import FloatArray, Joint, Lag
+from strainwave.domain import FloatArray, IntArray, Joint, Lag
 from strainwave.numerics.filters import apply_lags, apply_lags_without_aliases
 
 
@@ -123,22 +123,22 @@ class _ServoTicks:
 
     def commands(self, torque: FloatArray, offset: float) -> tuple[FloatArray, FloatArray]:
         """Commands at the ticks, from the one before the record, and the misfit of the samples."""
-        from scipy.linalg import solveh_banded
+        from scipy.linalg.lapack import dptsv
 
         time = self.sample_time * np.arange(len(torque)) + offset
         tick = np.floor(time / self.period + _TICK_ROUNDING).astype(int)
         new = -np.expm1(-(time - tick * self.period) / self.lag)
         at = tick - tick[0] + 1
-        matrix, right = np.zeros((2, at[-1] + 1)), np.zeros(at[-1] + 1)
-        np.add.at(matrix[1], at, new**2)
-        np.add.at(matrix[1], at - 1, (1.0 - new) ** 2)
-        np.add.at(matrix[0], at, new * (1.0 - new))
-        np.add.at(right, at, new * torque)
-        np.add.at(right, at - 1, (1.0 - new) * torque)
-        matrix[1] += _MIN_WEIGHT
+        old = 1.0 - new
+
+        def sums(by: IntArray, weight: FloatArray) -> FloatArray:
+            return np.bincount(by, weight, minlength=at[-1] + 1)
+
+        diagonal = sums(at, new**2) + sums(at - 1, old**2) + _MIN_WEIGHT
+        right = sums(at, new * torque) + sums(at - 1, old * torque)
         # tridiagonal and well conditioned: the last sample of a tick is nearly its command
-        commands = solveh_banded(matrix, right)
-        return commands, torque - (new * commands[at] + (1.0 - new) * commands[at - 1])
+        commands = dptsv(diagonal, sums(at, new * old)[1:], right)[2]
+        return commands, torque - (new * commands[at] + old * commands[at - 1])
 
     def held(self, torque: FloatArray, offset: float) -> FloatArray:
         """Command in the period after each sample; ticks are at the nearest time stamps."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -142,7 +143,11 @@ class PreparedRecord:
         if not logged or not is_multiple or round(samples) < _MIN_SAMPLES_PER_COMMAND:
             return {}
         loops = [joints[each.joint - 1].current_loop_hz or np.inf for each in logged]
-        held = held_commands([each.values for each in logged], T, round(samples) * T, loops)
+        key = "held commands", round(samples), tuple(loops)  # the same for arms that differ in sensors
+        if key not in self.log.prepared:
+            torques = [each.values for each in logged]
+            self.log.prepared[key] = held_commands(torques, T, round(samples) * T, loops)
+        held: Any = self.log.prepared[key]
         return {} if held is None else {e.joint: u for e, u in zip(logged, held, strict=True)}
 
     @cached_property

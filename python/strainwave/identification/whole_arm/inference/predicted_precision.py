@@ -245,7 +245,8 @@ def _length(arm: Arm) -> float:
 
 def _information(fit: Fit, arm: Arm, candidates: Sequence[_AddedSensor]) -> list[list[FloatArray]]:
     """Fisher information (n_unknowns, n_unknowns) of each record, without and with each sensor."""
-    objective, values = fit.objective, fit.values
+    # long steps are sufficient for derivatives
+    objective, values = fit.objective.lengthen_steps(fit.z), fit.values
     keys, slope = objective.space.keys, objective.space.slope(fit.z)
     parameter_places = [k for k, key in enumerate(keys) if not constant_of(key)]
 

@@ -241,10 +241,12 @@ class Objective:
 
     def correct_step_error(self, z: FloatArray) -> Objective:
         """Correct the integrator step error of all records at z."""
-        evaluated, values = self.evaluate(z), self.space.values(z)
-        records = tuple(
-            self._map_records(lambda k, r: r.correct_step_error(values, self.initial_states(k)))
-        )
+        evaluated, values, simulated = self.evaluate(z), self.space.values(z), self.simulate(z)
+
+        def corrected(k: int, record: Dataset) -> Dataset:
+            return record.correct_step_error(values, self.initial_states(k), simulated[k])
+
+        records = tuple(self._map_records(corrected))
         pairs = zip(evaluated, records, self.records, strict=True)
         shifted = [
             replace(e, difference=e.difference + n.step_error_correction - o.step_error_correction)
@@ -293,8 +295,11 @@ class Objective:
         """Store the step errors at z, where the residuals are exact, for a later `corrected`."""
         values = self.space.values(z)
 
+        simulated = self.simulate(z)
+
         def stored(k: int, record: Dataset) -> Dataset:
-            return replace(record, step_error=record.step_errors(values, self.initial_states(k))[1])
+            error = record.step_errors(values, self.initial_states(k), simulated[k])[1]
+            return replace(record, step_error=error)
 
         return replace(self, records=tuple(self._map_records(stored)))
 

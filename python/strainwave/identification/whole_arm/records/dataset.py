@@ -391,13 +391,19 @@ class Dataset:
         """Time (n_rows,) [s] minus its mean, so that a drift does not change the mean."""
         return np.asarray(self.time - np.mean(self.time))
 
-    def correct_step_error(self, values: Mapping[Key, float], initial: FloatArray) -> Dataset:
+    def correct_step_error(
+        self,
+        values: Mapping[Key, float],
+        initial: FloatArray,
+        simulated: FloatArray | None = None,
+    ) -> Dataset:
         """Correct the integrator step error and the noise estimate at the given parameters.
 
         The step error changes little near these parameters, so a search can continue in long steps.
-        The noise estimate excludes the simulated motion.
+        The noise estimate excludes the simulated motion. `simulated` are the channels (n_rows,
+        n_channels) in the steps of the record with their correction, if they are known.
         """
-        exact, error = self.step_errors(values, initial)
+        exact, error = self.step_errors(values, initial, simulated)
         noise = np.minimum(self.noise, self._residual_noise(exact, values))
         correction = error
         if self.step_error is not None:
@@ -405,16 +411,26 @@ class Dataset:
         return replace(self, step_error_correction=correction, noise=noise, step_error=error)
 
     def step_errors(
-        self, values: Mapping[Key, float], initial: FloatArray
+        self,
+        values: Mapping[Key, float],
+        initial: FloatArray,
+        simulated: FloatArray | None = None,
     ) -> tuple[dict[Quantity, FloatArray], FloatArray]:
-        """Simulation in shorter steps, and its channels minus those in the steps of the record."""
+        """Simulation in shorter steps, and its channels minus those in the steps of the record.
+
+        `simulated` are the latter with their correction, if they are known.
+        """
         step = min(
             self.max_time_step / _REFINEMENT_FACTOR,
             1.0 / (_REFINED_STEPS_PER_PERIOD * self.cutoff_hz),
         )
         refined = replace(self, max_time_step=step)
-        exact, coarse = (one.run(values, initial, self.quantities()) for one in (refined, self))
-        return exact, self.filtered_channels(exact, values) - self.filtered_channels(coarse, values)
+        exact = refined.run(values, initial, self.quantities())
+        if simulated is None:
+            coarse = self.filtered_channels(self.run(values, initial, self.quantities()), values)
+        else:
+            coarse = simulated - self.step_error_correction
+        return exact, self.filtered_channels(exact, values) - coarse
 
     def _residual_noise(
         self, runs: Mapping[Quantity, FloatArray], values: Mapping[Key, float]
