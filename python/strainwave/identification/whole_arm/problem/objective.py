@@ -138,8 +138,11 @@ class Objective:
         return None, replace(rows, evaluated=self._cached(evaluated))
 
     def cost(self, z: FloatArray) -> float | None:
-        """Cost at z, by simulations without derivatives; None if one fails."""
+        """Cost at z, by simulations without derivatives if it is not cached; None if one fails."""
         space = self.space
+        if self._cached_at(z) is not None:
+            costs = [rows.cost(one) for rows, one in zip(self.rows(z), self.weights, strict=True)]
+            return float(sum(costs) + np.sum(space.linearise_prior(z)[1] ** 2))
         known = space.fix_values(dict(zip(space.keys, space.parameters(z).tolist(), strict=True)))
         plain = self.replace_unknowns(known)._linearise(np.zeros(0), self._cluster)
         if plain is None:

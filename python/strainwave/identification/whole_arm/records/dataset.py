@@ -42,7 +42,7 @@ INITIAL_STATES = ("initial_motor_velocity", "initial_link_angle", "initial_link_
 INITIAL_INTERVAL = 0.02
 """Time [s] from the start in which initial velocity and standstill are estimated."""
 
-_REFINEMENT_FACTOR = 4.0  # factor of shorter steps with negligible step error
+_REFINEMENT_FACTOR = 2.0  # factor of shorter steps, with a sixteenth of the step error
 # steps per period of the cut-off (600 per resonance period): negligible error
 _REFINED_STEPS_PER_PERIOD = 120.0
 _RELATIVE_BANDWIDTH_STEP = 1e-3  # relative change of a bandwidth for its numerical derivative
