@@ -143,7 +143,11 @@ class PreparedRecord:
         if not logged or not is_multiple or round(samples) < _MIN_SAMPLES_PER_COMMAND:
             return {}
         loops = [joints[each.joint - 1].current_loop_hz or np.inf for each in logged]
-        key = "held commands", round(samples), tuple(loops)  # the same for arms that differ in sensors
+        key = (
+            "held commands",
+            round(samples),
+            tuple(loops),
+        )  # the same for arms that differ in sensors
         if key not in self.log.prepared:
             torques = [each.values for each in logged]
             self.log.prepared[key] = held_commands(torques, T, round(samples) * T, loops)

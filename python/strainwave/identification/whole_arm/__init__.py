@@ -55,6 +55,7 @@ __all__ = [
 ]
 
 _COARSE: tuple[Callable[[Fit, Selection], Fit], ...] = (
+    candidate.extend_coarse_ranges,
     candidate.add_significant_initial_motion,
     mountings.improve_mountings,
     gear_laws.select_gear_laws,

@@ -237,9 +237,17 @@ def refine(fit: Fit, options: WholeArmOptions, tolerance: float = COARSE_TOLERAN
 
 
 def polish(fit: Fit, options: WholeArmOptions) -> Fit:
-    """Complete the search for the minimum with the weights of a refined fit."""
+    """Complete the search for the minimum with the weights of a refined fit.
+
+    Its steps resolve the fastest mode of each record.
+    """
     if not fit.end.is_minimum or fit.iterations >= options.max_iterations:
         return fit
+    resolved = fit.objective.resolve_modes(fit.z)
+    if resolved is not fit.objective:
+        fit = refine(replace(fit, objective=resolved), options)
+        if not fit.end.is_minimum or fit.iterations >= options.max_iterations:
+            return fit
     return search_minimum(
         fit, options, tolerance=_FINE_TOLERANCE, damping=_NEAR_DAMPING, near=True, rough=True
     )

@@ -258,6 +258,17 @@ class Objective:
         memory = _EvaluationCache(list(self.memory.record_parameters), (z.tobytes(), shifted))
         return replace(self, records=records, memory=memory)
 
+    def resolve_modes(self, z: FloatArray) -> Objective:
+        """Shorten the steps of records to those that resolve the fastest mode at z.
+
+        Returns the objective itself if those of all records are short enough.
+        """
+        values = self.space.values(z)
+        records = [record.resolve_modes(values) for record in self.records]
+        if all(new is old for new, old in zip(records, self.records, strict=True)):
+            return self
+        return self.replace_records(records).correct_step_error(z)
+
     def lengthen_steps(self, z: FloatArray) -> Objective:
         """Lengthen the integrator steps, with the same rows, weights and residuals at z.
 

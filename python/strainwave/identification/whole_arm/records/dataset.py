@@ -45,6 +45,9 @@ INITIAL_INTERVAL = 0.02
 _REFINEMENT_FACTOR = 2.0  # factor of shorter steps, with a sixteenth of the step error
 # steps per period of the cut-off (600 per resonance period): negligible error
 _REFINED_STEPS_PER_PERIOD = 120.0
+# Shares of the stable step, in which the integrator damps the fastest mode by 3e-5 and 2e-3. With
+# the latter, derivatives with respect to the damping of a gear err by some 10 %.
+_ACCURATE_SHARE, _RESOLVING_SHARE = 0.2, 0.4
 _RELATIVE_BANDWIDTH_STEP = 1e-3  # relative change of a bandwidth for its numerical derivative
 # of a torque hold for its numerical derivative; a step of one shifts reversals by half a sample
 _HOLD_STEP = 0.01
@@ -251,10 +254,14 @@ class Dataset:
         A mode far above the cut-off, as of a wrist, need not be resolved, but in a longer step the
         integrator would be unstable.
         """
+        stable = self._stable_time_step(values)
+        return min(self.max_time_step, max(stable, self.max_time_step / _MAX_SHORTENING))
+
+    def _stable_time_step(self, values: Values) -> float:
+        """Longest time step [s] for which the integrator is stable in the postures of the record."""
         n_samples = len(self.log)
         angles = prepare_record(self.log, self.arm).motor_angle[:: max(1, n_samples // _POSTURES)]
-        stable = self.arm.stable_time_step(values, self.arm.links_of(angles))
-        return min(self.max_time_step, max(stable, self.max_time_step / _MAX_SHORTENING))
+        return self.arm.stable_time_step(values, self.arm.links_of(angles))
 
     def _arm_at(self, values: Mapping[Key, float]) -> Arm:
         """The arm with the sensor bandwidths of `values`."""
@@ -410,6 +417,19 @@ class Dataset:
             correction = self.step_error_correction + error - self.step_error
         return replace(self, step_error_correction=correction, noise=noise, step_error=error)
 
+    def resolve_modes(self, values: Mapping[Key, float]) -> Dataset:
+        """The record in steps that resolve its fastest mode, without correction of their error.
+
+        Longer steps damp a mode above the cut-off, as of a wrist, so that derivatives with respect
+        to the gear's parameters are wrong. Returns the record itself if its steps are short enough.
+        """
+        stable = self._stable_time_step(self._inputs(values).values)
+        step = max(_RESOLVING_SHARE * stable, self.max_time_step / _MAX_SHORTENING)
+        if step >= self.max_time_step:
+            return self
+        correction = np.zeros_like(self.step_error_correction)
+        return replace(self, max_time_step=step, step_error_correction=correction, step_error=None)
+
     def step_errors(
         self,
         values: Mapping[Key, float],
@@ -418,13 +438,15 @@ class Dataset:
     ) -> tuple[dict[Quantity, FloatArray], FloatArray]:
         """Simulation in shorter steps, and its channels minus those in the steps of the record.
 
+        The shorter steps resolve modes far above the cut-off, because longer ones would damp them.
         `simulated` are the latter with their correction, if they are known.
         """
         step = min(
             self.max_time_step / _REFINEMENT_FACTOR,
             1.0 / (_REFINED_STEPS_PER_PERIOD * self.cutoff_hz),
+            _ACCURATE_SHARE * self._stable_time_step(self._inputs(values).values),
         )
-        refined = replace(self, max_time_step=step)
+        refined = replace(self, max_time_step=max(step, self.max_time_step / _MAX_SHORTENING))
         exact = refined.run(values, initial, self.quantities())
         if simulated is None:
             coarse = self.filtered_channels(self.run(values, initial, self.quantities()), values)

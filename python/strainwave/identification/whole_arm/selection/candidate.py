@@ -317,14 +317,17 @@ def _estimate_initial_motion(
 
 
 def _with_extended_ranges(fit: Fit, selection: Selection) -> Fit | None:
-    """The fit with frictions and dampings at the end of their range centred in a new one."""
+    """The fit with parameters of one sign at the end of their range centred in a new one.
+
+    The first range is around a typical value, if the joint's records did not determine one.
+    """
     bounded = [
         k
         for k, (unknown, at) in enumerate(zip(fit.space.unknowns, fit.at_bounds, strict=True))
         if at
         and not unknown.signed
         and unknown.limits is None
-        and physical_range(unknown.name) == "non-negative"
+        and physical_range(unknown.name) != "any"
     ]
     if not bounded or not fit.end.is_minimum:
         return None
@@ -332,4 +335,5 @@ def _with_extended_ranges(fit: Fit, selection: Selection) -> Fit | None:
     return fit.with_unknowns(fit.space.recentre(fit.z, bounded))
 
 
+extend_coarse_ranges = Candidate(_with_extended_ranges, resumed_coarse_search, is_addition=False)
 extend_ranges = Candidate(_with_extended_ranges, fine_search, is_addition=False)
