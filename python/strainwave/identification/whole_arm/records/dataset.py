@@ -258,7 +258,7 @@ class Dataset:
         return min(self.max_time_step, max(stable, self.max_time_step / _MAX_SHORTENING))
 
     def _stable_time_step(self, values: Values) -> float:
-        """Longest time step [s] for which the integrator is stable in the postures of the record."""
+        """Longest time step [s] that is stable in the postures of the record."""
         n_samples = len(self.log)
         angles = prepare_record(self.log, self.arm).motor_angle[:: max(1, n_samples // _POSTURES)]
         return self.arm.stable_time_step(values, self.arm.links_of(angles))
