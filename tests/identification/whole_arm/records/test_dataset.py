@@ -16,7 +16,11 @@ from strainwave.domain.keys import Values
 from strainwave.dynamics.arm import MAX_TIME_STEP, Arm
 from strainwave.dynamics.simulation import simulate
 from strainwave.errors import InvalidInput
-from strainwave.identification.whole_arm.records.dataset import INITIAL_STATES, low_pass_kernels
+from strainwave.identification.whole_arm.records.dataset import (
+    INITIAL_STATES,
+    Dataset,
+    low_pass_kernels,
+)
 from strainwave.identification.whole_arm.records.preparation import (
     dataset_of,
     resolutions_of,
@@ -408,3 +412,21 @@ def test_a_silent_sensor_has_the_resolution_of_its_other_records() -> None:
     gain = np.linalg.norm(known.kernels.taps(slope=False))
     assert alone.noise[at] < 1e-9
     assert known.noise[at] == pytest.approx(step / np.sqrt(12.0) * gain)
+
+
+def test_steps_that_resolve_a_fast_mode_give_the_derivatives_by_its_damping() -> None:
+    """A gear 400 times stiffer moves a mode far above the cut-off, where long steps damp it."""
+    study, values, (log, *_) = ideal()
+    dataset = dataset_of(log, Arm.of(study.arm), CUTOFF)
+    assert dataset.resolve_modes(values) is dataset
+    damping = "gear_damping", 2
+    stiff = {**values, ("gear_stiffness", 2): 400.0 * values["gear_stiffness", 2]}
+    exact = replace(dataset, max_time_step=dataset.max_time_step / 16.0)
+
+    def error(record: Dataset) -> float:
+        start = record.start()
+        slopes = [one.linearise(stiff, start, [damping])[1] for one in (record, exact)]
+        return float(np.linalg.norm(slopes[0] - slopes[1]) / np.linalg.norm(slopes[1]))
+
+    assert error(dataset.resolve_modes(stiff)) < 0.4
+    assert error(dataset) > 0.8

@@ -46,7 +46,7 @@ _REFINEMENT_FACTOR = 2.0  # factor of shorter steps, with a sixteenth of the ste
 # steps per period of the cut-off (600 per resonance period): negligible error
 _REFINED_STEPS_PER_PERIOD = 120.0
 # Shares of the stable step, in which the integrator damps the fastest mode by 3e-5 and 2e-3. With
-# the latter, derivatives with respect to the damping of a gear err by some 10 %.
+# the latter, derivatives with respect to the damping of a gear err by a third at most.
 _ACCURATE_SHARE, _RESOLVING_SHARE = 0.2, 0.4
 _RELATIVE_BANDWIDTH_STEP = 1e-3  # relative change of a bandwidth for its numerical derivative
 # of a torque hold for its numerical derivative; a step of one shifts reversals by half a sample
