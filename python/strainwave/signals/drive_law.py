@@ -132,7 +132,7 @@ class _ServoTicks:
         old = 1.0 - new
 
         def sums(by: IntArray, weight: FloatArray) -> FloatArray:
-            return np.bincount(by, weight, minlength=at[-1] + 1)
+            return np.asarray(np.bincount(by, weight, minlength=at[-1] + 1), dtype=np.float64)
 
         diagonal = sums(at, new**2) + sums(at - 1, old**2) + _MIN_WEIGHT
         right = sums(at, new * torque) + sums(at - 1, old * torque)
