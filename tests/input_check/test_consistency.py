@@ -50,6 +50,25 @@ def test_fault_free_input_gives_no_suspicion(arm: Input) -> None:
     assert check_consistency(*arm).suspected == ()
 
 
+@pytest.mark.parametrize("share", [2.0, 3.0, 5.0])
+def test_accelerometers_too_coarse_for_slow_motion_give_no_suspicion(
+    horizontal_arm: Input, share: float
+) -> None:
+    """Their steps are a multiple of what they read in the slow motion, up to a constant reading."""
+    logs, study = horizontal_arm
+    motion = next(log for log in logs if log.experiment.name == "motion")
+    steps = {name: share * np.std(motion.channels[name]) for name in ("a1", "a2")}
+    coarse = [
+        {name: step * np.round(log.channels[name] / step) for name, step in steps.items()}
+        for log in logs
+    ]
+    rounded = tuple(
+        replace(log, channels={**log.channels, **readings})
+        for log, readings in zip(logs, coarse, strict=True)
+    )
+    assert check_consistency(rounded, study).suspected == ()
+
+
 @pytest.mark.parametrize("number", [23, 38, 71, 88, 98, 107, 133, 144])
 def test_short_fault_free_records_give_no_suspicion(number: int) -> None:
     """Fault-free records of 6 s: similar motion of both joints, servo lag, or almost no motion."""

@@ -35,7 +35,7 @@ from strainwave.input_check.timing import (
 )
 from strainwave.numerics.filters import differentiate, low_pass
 from strainwave.numerics.parallel import run_parallel
-from strainwave.signals.channels import estimate_encoder_count
+from strainwave.signals.channels import estimate_encoder_count, resolutions_of
 from strainwave.signals.motor import detect_standing_motors, motion_bands
 
 # Bandwidth of a record over the median of all motors in the slow records above which noise
@@ -104,7 +104,8 @@ class SlowRecord:
     sample_time: float  # [s] between rows
     bandwidth_hz: float
     channels: Mapping[str, FloatArray]  # (n_rows,)
-    noise: Mapping[str, float]  # std of a row, extrapolated from the noise above the band
+    # std of a row, extrapolated from the noise above the band, and at least that of rounding
+    noise: Mapping[str, float]
     direction: FloatArray  # (n_rows, n_joints) mean sign of the motor velocity
     moves: BoolArray  # (n_joints,) motors that move; the others deflect at most
     inside: BoolArray  # (n_rows,) rows without end effects of the filter
@@ -312,10 +313,10 @@ def collect_evidence(logs: Sequence[Log], study: Study) -> Evidence:
     limit = (
         _MAX_BAND_RATIO * float(np.quantile(of_slow, 0.5, method="lower")) if of_slow else np.inf
     )
-    jobs = []
+    jobs, resolutions = [], resolutions_of(logs)
     for log, angle, moving, hz, each in zip(logs, angles, moves, bands, slow, strict=True):
         band = min(max(hz, default=0.0), limit if each else np.inf)
-        jobs.append(partial(_slow_record, log, arm, angle, moving, band))
+        jobs.append(partial(_slow_record, log, arm, angle, moving, band, resolutions))
     records = run_parallel(jobs)
     counts = {
         joint: count
@@ -326,11 +327,17 @@ def collect_evidence(logs: Sequence[Log], study: Study) -> Evidence:
 
 
 def _slow_record(
-    log: Log, arm: Arm, angle: FloatArray, moves: BoolArray, band: float
+    log: Log,
+    arm: Arm,
+    angle: FloatArray,
+    moves: BoolArray,
+    band: float,
+    resolutions: Mapping[str, float],
 ) -> SlowRecord | None:
     """Low-pass filter and decimate a record. Returns None if the record is too short.
 
     `angle` are the motor angles, (n_samples, n_joints), `band` is the bandwidth of the motion [Hz].
+    `resolutions` are those of the channels; no low-pass removes the rounding of a slow reading.
     """
     T, n = log.sample_time, len(angle)
     band = max(min(band, 1.0 / (_MIN_SAMPLES_PER_CYCLE * T)), _MIN_CYCLES / (n * T))
@@ -355,7 +362,10 @@ def _slow_record(
         sample_time=block * T,
         bandwidth_hz=band,
         channels={name: slow[:, k] for k, name in enumerate(names)},
-        noise={name: float(all_band_noise[k] * share) for k, name in enumerate(names)},
+        noise={
+            name: max(float(all_band_noise[k] * share), resolutions.get(name, 0.0) / np.sqrt(12.0))
+            for k, name in enumerate(names)
+        },
         direction=slow[:, len(names) :],
         moves=moves,
         inside=inside,

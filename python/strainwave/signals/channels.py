@@ -166,6 +166,21 @@ _MIN_ODD_SHARE = 0.25
 _MAX_SAMPLES = 40_000
 
 
+def resolutions_of(logs: Sequence[Log]) -> dict[str, float]:
+    """Resolution of each channel: its least change between two samples in any of the logs.
+
+    A sensor that does not move may give the same reading in a whole record, whose noise is then
+    unknown. Without rounding, the least change is far below the noise.
+    """
+    resolutions: dict[str, float] = {}
+    for log in logs:
+        for name, samples in log.channels.items():
+            changes = np.abs(np.diff(samples))
+            least = float(np.min(changes, initial=np.inf, where=changes > 0.0))
+            resolutions[name] = min(resolutions.get(name, np.inf), least)
+    return {name: least for name, least in resolutions.items() if np.isfinite(least)}
+
+
 def estimate_encoder_count(angles: Sequence[FloatArray]) -> float | None:
     """Size of one encoder count of a motor angle, in the unit of the channel.
 

@@ -39,7 +39,6 @@ from strainwave.identification.whole_arm.records.preparation import (
     coarsen_steps,
     cutoff_of,
     dataset_of,
-    resolutions_of,
     select_usable_records,
 )
 from strainwave.identification.whole_arm.search import Fit, search_minimum
@@ -49,6 +48,7 @@ from strainwave.identification.whole_arm.selection.sensor_constants import (
     constants_of,
 )
 from strainwave.numerics.search import Choice, CoordinateSearch
+from strainwave.signals.channels import resolutions_of
 from strainwave.signals.mounting_start import estimate_mounting_starts
 from strainwave.signals.recorded_input import missing_recorded_input
 

@@ -23,9 +23,9 @@ from strainwave.identification.whole_arm.records.dataset import (
 )
 from strainwave.identification.whole_arm.records.preparation import (
     dataset_of,
-    resolutions_of,
     select_usable_records,
 )
+from strainwave.signals.channels import resolutions_of
 from tuning_runs import beginning, later, rig_logs, shaken, simulated, truth
 
 T = 2.5e-4

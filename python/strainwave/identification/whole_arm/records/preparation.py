@@ -58,21 +58,6 @@ def cutoff_of(logs: Sequence[Log], arm: Arm, highest_resonance_hz: float | None)
     return min(resonance_limit, sampling_limit, *(velocity_band(log, arm) for log in logs))
 
 
-def resolutions_of(logs: Sequence[Log]) -> dict[str, float]:
-    """Resolution of each channel: its least change between two samples in any of the logs.
-
-    A sensor that does not move may give the same reading in a whole record, whose noise is then
-    unknown. Without rounding, the least change is far below the noise.
-    """
-    resolutions: dict[str, float] = {}
-    for log in logs:
-        for name, samples in log.channels.items():
-            changes = np.abs(np.diff(samples))
-            least = float(np.min(changes, initial=np.inf, where=changes > 0.0))
-            resolutions[name] = min(resolutions.get(name, np.inf), least)
-    return {name: least for name, least in resolutions.items() if np.isfinite(least)}
-
-
 def dataset_of(
     log: Log,
     arm: Arm,
