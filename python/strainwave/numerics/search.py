@@ -118,7 +118,7 @@ def minimise(
         small value if the start is near the minimum.
     `near`: Whether the start is near the minimum, so that steps are often rejected.
     `rough`: Whether the iteration ends where the cost is discontinuous at the scale of a step.
-    `max_evaluations`: Maximum number of trial points.
+    `max_evaluations`: Maximum number of calls of `linearise`.
     `cost`: Cost alone, where it takes far less time than `linearise`. Near the minimum and after a
         rejected step, steps are often rejected, so this cost must decrease before they are
         linearised.
@@ -156,13 +156,13 @@ def minimise(
         damping, predicted, step = _descending_step(current.factor, damping, is_free, limit)
         if stalled and not was_rejected and predicted < gain_tolerance:  # of limited steps
             return Minimum(x, current, evaluations, SearchEnd.STALLED)
-        evaluations, candidate = evaluations + 1, None
+        candidate = None
         trial, plain_cost = space.move(x, step), -np.inf
         if cost and (near or was_rejected):
             least_cost = current.cost - _MIN_LONGER_GAIN_RATIO * predicted
             trial, plain_cost = _try_step(cost, partial(space.move, x), step, limit, least_cost)
         if plain_cost < current.cost:
-            candidate = linearise(trial)
+            evaluations, candidate = evaluations + 1, linearise(trial)
             plain_cost = candidate.cost if candidate else np.inf
         decrease = current.cost - plain_cost
         gain_ratio = decrease / max(predicted, 1e-300)
