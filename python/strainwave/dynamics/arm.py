@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from strainwave import _core
-from strainwave.domain import ArmDescription, FloatArray, Joint, Payload
+from strainwave.domain import ArmDescription, BoolArray, FloatArray, Joint, Payload
 from strainwave.domain.arm.base_parameters import (
     MOTOR_INERTIA,
     BaseParameters,
@@ -87,6 +87,11 @@ class Arm(ArmDescription):
     def gear_ratios(self) -> FloatArray:
         """Turns of each link per turn of its own motor, the diagonal of C N: (n_joints,)."""
         return _constant(np.diagonal(self.transmission).tolist())
+
+    @cached_property
+    def is_elastic(self) -> BoolArray:
+        """Whether each gear is elastic: (n_joints,)."""
+        return np.array([joint.elastic for joint in self.joints])
 
     @cached_property
     def transmission(self) -> FloatArray:
@@ -318,14 +323,14 @@ class Arm(ArmDescription):
 
         Shape (n_samples, n_joints, n_joints) [N m]: by link, then by accelerated joint.
         """
-        rest = np.zeros_like(angle)
-        gravity = self.link_torques(base, angle, rest, rest)
-        torques = np.empty((*angle.shape, self.n_joints))
-        for j in range(self.n_joints):
-            single = rest.copy()
-            single[:, j] = acceleration[:, j]
-            torques[:, :, j] = self.link_torques(base, angle, rest, single) - gravity
-        return torques
+        n = self.n_joints
+        accelerations = np.zeros((n + 1, *angle.shape))
+        for j in range(n):
+            accelerations[j + 1, :, j] = acceleration[:, j]
+        moving, angles = accelerations.reshape(-1, n), np.tile(angle, (n + 1, 1))
+        torques = self.link_torques(base, angles, np.zeros_like(angles), moving)
+        gravity, *single = torques.reshape(accelerations.shape)
+        return np.stack([each - gravity for each in single], axis=2)
 
     def link_inertias(self, base: FloatArray) -> FloatArray:
         """m_L of each joint, the diagonal of M(0): (n_joints,) [kg m^2]."""
@@ -404,7 +409,6 @@ class Arm(ArmDescription):
         links.
         """
         known, n = complete_values(values, self), self.n_joints
-        elastic = np.array([joint.elastic for joint in self.joints])
         stiffness, damping = np.zeros(n), np.zeros(n)
         try:
             for i, joint in enumerate(self.joints, start=1):
@@ -419,11 +423,11 @@ class Arm(ArmDescription):
             ]
         except KeyError:
             return None
-        outputs = np.eye(n)[:, elastic]
+        outputs = np.eye(n)[:, self.is_elastic]
         of_motors = by_links @ motors @ by_links.T
         # torsion and output of each gear over links and outputs of elastic gears
-        torsion = np.hstack([-np.diag(elastic.astype(float)), outputs])
-        output = np.hstack([np.diag((~elastic).astype(float)), outputs])
+        torsion = np.hstack([-np.diag(self.is_elastic.astype(float)), outputs])
+        output = np.hstack([np.diag((~self.is_elastic).astype(float)), outputs])
         inertia = np.tile(output.T @ of_motors @ output, (len(angles), 1, 1))
         inertia[:, :n, :n] += self._inertia_matrices(np.array(base), angles)
         if (np.linalg.eigvalsh(inertia) <= 0.0).any():

@@ -71,6 +71,7 @@ class Factor:
     directions: FloatArray  # (n_parameters, n_parameters) rows, in scaled parameters
     is_resolved: BoolArray  # (n_parameters,) whether a direction exceeds the regressor noise
     leverage: FloatArray  # (n_rows,) diagonal of the hat matrix
+    residual: FloatArray  # (n_rows,) of the equations
 
     @property
     def deviation(self) -> FloatArray:
@@ -105,7 +106,8 @@ def factorise(equations: Equations, root: FloatArray) -> Factor:
     projection = U[:, is_identifiable].T @ R[n:stop, -1]
     x = Vt[is_identifiable].T @ (projection / s[is_identifiable])
     common = np.linalg.solve(R[:n, :n], R[:n, -1] - R[:n, n:-1] @ x)
-    local = rows.below[:, -1] - rows.below[:, :-1] @ np.concatenate([common, x])
+    shared = np.concatenate([common, x])
+    local = rows.below[:, -1] - rows.below[:, :-1] @ shared
     return Factor(
         root=root,
         value=x / scale,
@@ -116,6 +118,7 @@ def factorise(equations: Equations, root: FloatArray) -> Factor:
         directions=Vt,
         is_resolved=is_identifiable,
         leverage=np.sum(Q[: len(root), :stop] ** 2, axis=1) + rows.leverage,
+        residual=(rows.own[:, -1] - rows.own[:, :-1] @ shared) / root,
     )
 
 
@@ -230,8 +233,7 @@ def root_weights(equations: Equations, factor: Factor) -> FloatArray:
 
     with the leverage h.
     """
-    residual = residual_of(equations, factor)
-    residual_share = 1.0 - factor.leverage
+    residual, residual_share = factor.residual, 1.0 - factor.leverage
     root = np.ones_like(residual)
     for g in np.unique(equations.group[equations.group != PRIOR_GROUP]):
         rows = equations.group == g

@@ -81,11 +81,7 @@ class Banded:
 
     def __matmul__(self, values: FloatArray) -> FloatArray:
         """Product (n_rows,) with a vector (n_columns,)."""
-        padded = np.concatenate([values, np.zeros(self.entries.shape[1])])
-        product = np.zeros(len(self.first))
-        for k, column in enumerate(self.entries.T):
-            product += column * padded[self.first + k]
-        return product
+        return np.asarray(np.einsum("ij,ij->i", self.entries, self._of_entries(values)))
 
     def rows(self, chosen: IntArray | BoolArray) -> Banded:
         """Matrix of selected rows."""
@@ -93,11 +89,15 @@ class Banded:
 
     def scaled(self, rows: FloatArray, columns: FloatArray) -> Banded:
         """Matrix with rows and columns multiplied by the given factors."""
-        padded = np.concatenate([columns, np.zeros(self.entries.shape[1])])
         entries = self.entries * rows[:, None]
-        for k in range(entries.shape[1]):
-            entries[:, k] *= padded[self.first + k]
+        entries *= self._of_entries(columns)
         return Banded(self.first, entries, self.n_columns)
+
+    def _of_entries(self, values: FloatArray) -> FloatArray:
+        """Values of the columns (n_columns,) at each entry, (n_rows, width); zero beyond them."""
+        width = self.entries.shape[1]
+        padded = np.concatenate([values, np.zeros(width)])
+        return np.asarray(padded[self.first[:, None] + np.arange(width)])
 
     def dense(self) -> FloatArray:
         """Dense matrix (n_rows, n_columns)."""

@@ -143,19 +143,15 @@ def responses(shapes: Shapes, rows: IntArray, kernel: FloatArray) -> Banded:
     peak = np.clip(np.floor(shapes.centre).astype(np.int64) + 1, shapes.first, shapes.stop)
     level = np.concatenate([[0.0], np.cumsum(kernel)])
     moment = np.concatenate([[0.0], np.cumsum(kernel * np.arange(-reach, reach + 1))])
-    for k in range(width):
-        reached = np.flatnonzero(earliest + k < past_last)
-        shape = earliest[reached] + k
-        since = [
-            np.clip(rows[reached] + (reach + 1) - edge[shape], 0, len(kernel))
-            for edge in (shapes.first, peak, shapes.stop)
-        ]
-        entries[reached, k] = level[since[0]] - level[since[2]]
-        bent = np.flatnonzero(shapes.slope[shape])  # most shapes are constant
-        slope = shapes.slope[shape[bent]]
-        beyond = rows[reached[bent]] - shapes.centre[shape[bent]]
-        before, at, after = (each[bent] for each in since)
-        levels = level[before] + level[after] - 2.0 * level[at]
-        moments = moment[before] + moment[after] - 2.0 * moment[at]
-        entries[reached[bent], k] += slope * (beyond * levels - moments)
+    row, k = np.nonzero(np.arange(width) < (past_last - earliest)[:, None])
+    shape, at_row = earliest[row] + k, rows[row]
+    before, at, after = (
+        np.clip(at_row + (reach + 1) - edge[shape], 0, len(kernel))
+        for edge in (shapes.first, peak, shapes.stop)
+    )
+    slope = shapes.slope[shape]
+    beyond = at_row - shapes.centre[shape]
+    levels = level[before] + level[after] - 2.0 * level[at]
+    moments = moment[before] + moment[after] - 2.0 * moment[at]
+    entries[row, k] = level[before] - level[after] + slope * (beyond * levels - moments)
     return Banded(earliest, entries, len(shapes.first))

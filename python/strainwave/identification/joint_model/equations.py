@@ -210,7 +210,8 @@ class WeightedEquations:
             has_converged = bool(np.all(np.abs(factor.value - x) <= within * factor.deviation))
             x = factor.value
             equations = _assemble(self.pieces, self.known, x, self.stiction_std)
-            root = ls.root_weights(equations, factor)
+            residual = ls.residual_of(equations, factor)
+            root = ls.root_weights(equations, replace(factor, residual=residual))
             if has_converged:
                 break
         return replace(self, equations=equations, root=root, x=x)

@@ -8,7 +8,7 @@ times the compliance, (1) and (2).
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -155,7 +155,7 @@ def term_columns(
     The load is that of the gears by the estimate, without friction, plus the motor torques
     `carried` (n_motion, n_joints) of a further body.
     """
-    q, dq, ddq = stretch.link_motion(arm)
+    q, dq, ddq = stretch.links
     solution, payload = linearised_at.solution, stretch.signals.experiment.payload
     share = linearised_at.shares.inertia
     load = gear_load(arm, solution, (q, dq, ddq), payload, share) + carried
@@ -231,7 +231,10 @@ def assemble(
     Without `linearised_at`, the joints are rigid, the prior of the free friction is the size of the
     torque, and there are no `terms`, whose unknowns are common to all rows.
     """
-    parts = list(_parts(arm, stretches, linearised_at, terms))
+    parts = [
+        _joint_by_joint(arm, stretch, linearised_at, record, terms)
+        for record, stretch in enumerate(stretches)
+    ]
     common_std = np.zeros(0)
     if linearised_at is not None and n_compliances(arm):  # anti-resonances exceed the bandwidth
         w = 2.0 * np.pi * max(s.bandwidth_hz for s in stretches)
@@ -240,8 +243,13 @@ def assemble(
     if linearised_at is not None and terms:
         common_std = np.concatenate([common_std, term_stds(terms, arm, stretches)])
     ends = np.cumsum([0, *(len(part.target) for part in parts)])
+    counts = blocks_of(stretches)
+    first_blocks = np.cumsum([0, *counts])
+    shared = np.concatenate([part.shared for part in parts])
+    offsets = arm.n_body + FRICTION_COLUMNS * np.arange(arm.n_joints) + 2
+    shared[:, offsets] *= slides_both_ways(stretches)
     return Equations(
-        shared=np.concatenate([part.shared for part in parts]),
+        shared=shared,
         noise=np.sqrt(np.mean([s.noise**2 for s in stretches], axis=0)),
         common=np.concatenate([part.common for part in parts]),
         common_deviation=common_std,
@@ -253,56 +261,66 @@ def assemble(
         local_deviation=np.concatenate([part.local_deviation for part in parts]),
         target=np.concatenate([part.target for part in parts]),
         group=np.concatenate([part.group for part in parts]),
-        block=np.concatenate([part.block for part in parts]),
+        block=np.concatenate(
+            [
+                first + stretch.blocks(count)[part.block]
+                for part, stretch, first, count in zip(
+                    parts, stretches, first_blocks, counts, strict=False
+                )
+            ]
+        ),
         repetition=np.concatenate([part.repetition for part in parts]),
     )
 
 
-def _parts(
+def _joint_by_joint(
     arm: Arm,
-    stretches: Sequence[FilteredRecord],
+    stretch: FilteredRecord,
     linearised_at: Estimate | None,
+    record: int,
     terms: Sequence[FurtherTerm],
-) -> Iterator[Equations]:
-    """Equations record by record and joint by joint, without deviations of common unknowns."""
-    first_block, counts = 0, blocks_of(stretches)
-    is_two_way = slides_both_ways(stretches)
-    for record, stretch in enumerate(stretches):
-        body = _body_equations(arm, stretch, linearised_at, record)
-        n_blocks = counts[record]
-        block = first_block + stretch.blocks(n_blocks)
-        first_block += n_blocks
-        common = body.lags
-        if terms and linearised_at is not None:
-            of_terms = term_columns(terms, arm, stretch, linearised_at)
-            common = np.concatenate([common, of_terms], axis=2)
-        shared = arm.shared_friction_regressor(stretch.friction[:, :, 0])
-        for i, free in enumerate(stretch.free):
-            friction = arm.n_body + FRICTION_COLUMNS * i
-            X = np.zeros((len(stretch.rows), len(arm.rigid_columns)))
-            X[:, : arm.n_body] = body.regressor[:, i]
-            X[:, friction : friction + FRICTION_COLUMNS] = stretch.friction[:, i]
-            X[:, friction + 2] *= is_two_way[i]
-            X[:, friction] -= body.own_lag[:, i]
-            X[:, len(arm.rigid_columns) - arm.n_shared :] = shared[:, i] - body.shared_lag[:, i]
-            keep = np.flatnonzero(stretch.keep[:, i])
-            if linearised_at is not None:
-                coulomb = float(linearised_at.solution[friction + 1])
-            else:  # a record at an edge throughout has no rows
-                coulomb = float(np.std(stretch.torque[:, i])) if len(stretch.rows) else 0.0
-            std = max(_STICTION_STD * abs(coulomb), 1e-300)
-            yield Equations(
-                shared=X[keep],
-                noise=stretch.noise,
-                common=common[keep, i],
-                common_deviation=np.zeros(0),
-                local=(Local(np.arange(len(keep)), free.rows(keep)),),
-                local_deviation=np.full(free.n_columns, std),
-                target=body.torque[keep, i],
-                group=np.full(len(keep), i),
-                block=block[keep],
-                repetition=stretch.repetition[keep],
-            )
+) -> Equations:
+    """Equations of one record, without deviations of common unknowns; blocks are its rows."""
+    body = _body_equations(arm, stretch, linearised_at, record)
+    common = body.lags
+    if terms and linearised_at is not None:
+        of_terms = term_columns(terms, arm, stretch, linearised_at)
+        common = np.concatenate([common, of_terms], axis=2)
+    n_rows, n_joints = stretch.torque.shape
+    X = np.zeros((n_joints, n_rows, len(arm.rigid_columns)))
+    X[:, :, : arm.n_body] = np.swapaxes(body.regressor, 0, 1)
+    for i in range(n_joints):
+        friction = arm.n_body + FRICTION_COLUMNS * i
+        X[i, :, friction : friction + FRICTION_COLUMNS] = stretch.friction[:, i]
+        X[i, :, friction] -= body.own_lag[:, i]
+    if arm.n_shared:
+        shared = arm.shared_friction_regressor(stretch.friction[:, :, 0]) - body.shared_lag
+        X[:, :, -arm.n_shared :] = np.swapaxes(shared, 0, 1)
+    if linearised_at is not None:
+        coulomb = arm.joint_friction(linearised_at.solution)[:, 1]
+    else:  # a record at an edge throughout has no rows
+        coulomb = np.std(stretch.torque, axis=0) if n_rows else np.zeros(n_joints)
+    keep = stretch.keep.T
+    joint, row = np.nonzero(keep)
+    ends = np.searchsorted(joint, np.arange(n_joints + 1)).tolist()
+    return Equations(
+        shared=X[keep],
+        noise=stretch.noise,
+        common=np.swapaxes(common, 0, 1)[keep],
+        common_deviation=np.zeros(0),
+        local=tuple(
+            Local(np.arange(start, stop), free)
+            for start, stop, free in zip(ends, ends[1:], stretch.free, strict=False)
+        ),
+        local_deviation=np.repeat(
+            np.maximum(_STICTION_STD * np.abs(coulomb), 1e-300),
+            [free.n_columns for free in stretch.free],
+        ),
+        target=body.torque.T[keep],
+        group=joint,
+        block=row,
+        repetition=stretch.repetition[row],
+    )
 
 
 def blocks_of(stretches: Sequence[FilteredRecord]) -> list[int]:
@@ -333,9 +351,8 @@ def estimate_of(
     compliance = np.zeros(arm.n_joints)
     n = n_compliances(arm)
     if n and len(factor.common):
-        elastic = np.array([joint.elastic for joint in arm.joints])
         upper_bound = 3.0 * equations.common_deviation[:n]
-        compliance = np.clip(factor.common[:n], 0.0, upper_bound) * elastic
+        compliance = np.clip(factor.common[:n], 0.0, upper_bound) * arm.is_elastic
     stiction_torque, start = [], 0
     for stretch in stretches:
         friction = np.zeros_like(
@@ -385,7 +402,7 @@ class _BodyEquations:
 def _body_equations(
     arm: Arm, stretch: FilteredRecord, linearised_at: Estimate | None, record: int
 ) -> _BodyEquations:
-    links = stretch.link_motion(arm)
+    links: Sequence[FloatArray] = stretch.links
     if linearised_at is None or not n_compliances(arm):
         phi = stretch.body
         if not phi.size:
@@ -399,13 +416,12 @@ def _body_equations(
     angle, torsion = links[0], (c * gear, c * dgear, c * ddgear)
     links = [x - twist for x, twist in zip(links, torsion, strict=True)]
     phi = body_regressor(arm, links, torsion, linearised_at.shares.inertia)
-    elastic = np.array([joint.elastic for joint in arm.joints])
     payload = arm.payload_vector(stretch.signals.experiment.payload)
     # motor torque per compliance, -N C^T M_j(q) ddT_j: (n_samples, n_joints, n_joints)
     per_link = arm.torques_of_accelerations(_base(arm, linearised_at) + payload, angle, ddgear)
     lags = -arm.motors_of(np.swapaxes(per_link, 1, 2)).swapaxes(1, 2)
     lags -= dgear[:, None] * (arm.transmission.T * _link_viscous_friction(arm, linearised_at))
-    lags *= elastic
+    lags *= arm.is_elastic
     # one filter for all columns: the last is the velocity of the torsion
     filtered = stretch.filtered(np.concatenate([phi, lags, torsion[1][:, :, None]], axis=2))
     phi, lags, lag_velocity = np.split(filtered, [phi.shape[2], filtered.shape[2] - 1], axis=2)
@@ -421,9 +437,9 @@ def twisted_links(
     arm: Arm, stretch: FilteredRecord, linearised_at: Estimate, record: int
 ) -> list[FloatArray]:
     """Motion of the links behind twisted gears, as `FilteredRecord.motion`."""
-    links = stretch.link_motion(arm)
+    links = stretch.links
     if not n_compliances(arm):
-        return links
+        return list(links)
     gears = _gear_torques(arm, stretch, linearised_at, record)
     return [q - linearised_at.compliance * T for q, T in zip(links, gears, strict=True)]
 
@@ -476,9 +492,8 @@ def _gear_torque(
     friction = viscous * velocity + coulomb * direction + offset + stiction_torque
     inertia = arm.motors_of_rigid(linearised_at.shares.inertia) @ solution[: arm.n_body]
     net = torque - friction - inertia * acceleration
-    at_links = np.asarray(np.linalg.solve(arm.transmission.T, net.T).T, dtype=np.float64)
     T, step = stretch.signals.sample_time, stretch.motion_step
-    return low_pass(at_links, 2.0 * stretch.bandwidth_hz, T, decimated=step)
+    return low_pass(arm.joints_of(net), 2.0 * stretch.bandwidth_hz, T, decimated=step)
 
 
 def _base(arm: Arm, linearised_at: Estimate) -> FloatArray:

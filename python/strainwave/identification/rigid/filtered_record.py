@@ -52,6 +52,7 @@ class FilteredRecord:
     motion: tuple[FloatArray, ...]  # angle, velocity, acceleration: (n_motion, n_joints)
     drive: tuple[FloatArray, FloatArray]  # torque and direction, as `motion`
     torsion: tuple[FloatArray, ...]  # measured and its derivatives, as `motion`; otherwise empty
+    links: tuple[FloatArray, ...]  # motion of the links, as `motion`, without unknown torsions
     body: FloatArray  # (n_rows, n_joints, n_body) regressor of the links if rigid, otherwise empty
     rows: IntArray  # (n_rows,) sample indices
     keep: BoolArray  # (n_rows, n_joints)
@@ -60,7 +61,7 @@ class FilteredRecord:
     # per joint, shape functions of the free friction at the motion's samples: indices (n_near,)
     # with nonzero values and the values (n_near, n_free); empty if rigid
     stiction_shapes: tuple[tuple[IntArray, Banded], ...]
-    free: tuple[Banded, ...]  # per joint (n_rows, n_free), filtered shape functions
+    free: tuple[Banded, ...]  # per joint (n_kept, n_free), filtered shape functions
     noise: FloatArray  # (n_parameters,) standard deviation of the noise of each column
     period: float  # [samples] of the motion; the whole record if it does not repeat
     sliding_time: float  # [s] in one period of the motion, the mean of the joints
@@ -78,10 +79,6 @@ class FilteredRecord:
     def repetition(self) -> IntArray:
         """Number of the period of each row, (n_rows,)."""
         return np.asarray((self.rows - self.rows[:1]) // self.period, dtype=np.int64)
-
-    def link_motion(self, arm: Arm) -> list[FloatArray]:
-        """Angle, velocity and acceleration of the links, as `motion`, without unknown torsions."""
-        return link_motion(arm, self.motion, self.torsion)
 
     def motion_samples(self) -> IntArray:
         """Sample indices of the motion; they include the rows of the equations."""
@@ -169,7 +166,8 @@ def prepare(arm: Arm, signals: Signals, bandwidth_hz: float, period: float) -> F
             informative &= friction.entries.sum(axis=1) < _MAX_STICTION_WEIGHT
         keep.append(informative)
         no_shapes = Banded(0 * rows, np.zeros((len(rows), 0)), 0)
-        free.append(friction if elastic or informative.any() else no_shapes)
+        used = friction if elastic or informative.any() else no_shapes
+        free.append(used.rows(informative))
     angle, velocity, acceleration, torque, direction = (
         motion_of(x, bandwidth_hz, T)
         for x in (
@@ -180,6 +178,9 @@ def prepare(arm: Arm, signals: Signals, bandwidth_hz: float, period: float) -> F
             signals.direction,
         )
     )
+    motion = (angle, velocity, acceleration)
+    torsion = tuple(motion_of(x, bandwidth_hz, T) for x in torsion_motion(signals))
+    links = tuple(link_motion(arm, motion, torsion))
     unfiltered = np.stack([torque, velocity, direction, np.ones_like(torque)], axis=2)
     # filter both sides at the same samples, so that edge effects are equal
     filtered = low_pass(unfiltered, bandwidth_hz, T, decimated=step)[rows // step]
@@ -187,9 +188,10 @@ def prepare(arm: Arm, signals: Signals, bandwidth_hz: float, period: float) -> F
         signals=signals,
         bandwidth_hz=bandwidth_hz,
         motion_step=step,
-        motion=(angle, velocity, acceleration),
+        motion=motion,
         drive=(torque, direction),
-        torsion=tuple(motion_of(x, bandwidth_hz, T) for x in torsion_motion(signals)),
+        torsion=torsion,
+        links=links,
         body=np.zeros(0),
         rows=rows,
         keep=np.column_stack(keep),
@@ -204,7 +206,7 @@ def prepare(arm: Arm, signals: Signals, bandwidth_hz: float, period: float) -> F
     )
     if elastic:
         return stretch
-    body = body_regressor(arm, stretch.link_motion(arm), stretch.torsion)
+    body = body_regressor(arm, links, torsion)
     return replace(stretch, body=stretch.filtered(body))
 
 
@@ -238,7 +240,7 @@ def _impulse_response(cutoff_hz: float, sample_time: float) -> FloatArray:
 
 def n_compliances(arm: Arm) -> int:
     """Number of compliances: one per joint if any gear is elastic, otherwise 0."""
-    return arm.n_joints if any(joint.elastic for joint in arm.joints) else 0
+    return arm.n_joints if arm.is_elastic.any() else 0
 
 
 def _column_noise(arm: Arm, signals: Signals, bandwidth_hz: float) -> FloatArray:
