@@ -23,19 +23,20 @@ from strainwave.tune.closed_loop import (
     Gains,
     Steps,
     close,
+    SampledPlants,
+    SampledResponses,
     frequency_grid,
     low_pass,
     notch,
     sample,
-    sampled_responses,
 )
 from strainwave.tune.margins import (
     LoopBand,
     Margins,
     Requirements,
-    effective_plants,
     join,
     margins_of,
+    open_loops,
 )
 from strainwave.tune.plants import Plants
 
@@ -64,19 +65,26 @@ FilterMaker = Callable[[float], tuple[Biquad, ...]]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Loops:
-    """Sampled plants and the frequencies at which their loops are judged.
+    """Sampled plants, and their responses at the frequencies at which their loops are judged.
 
     Responses of all plants may exceed the memory: they are computed in parts, when they are used.
     """
 
     plants: Plants
     clock: Clock
-    omega: FloatArray
+    sampled: SampledPlants
+    responses: SampledResponses
 
     @classmethod
     def of(cls, plants: Plants, clock: Clock) -> Loops:
         """The loops of plants under a clock."""
-        return cls(plants, clock, frequency_grid(plants, clock))
+        responses = SampledResponses.of(plants, frequency_grid(plants, clock), clock)
+        return cls(plants, clock, sample(plants, clock), responses)
+
+    @property
+    def omega(self) -> FloatArray:
+        """Frequencies [rad/s]."""
+        return self.responses.omega
 
     @property
     def z(self) -> ComplexArray:
@@ -84,12 +92,8 @@ class Loops:
         return np.asarray(np.exp(1j * self.omega * self.clock.period))
 
     def controllers(self, gains: Sequence[Gains]) -> ComplexArray:
-        """Responses (n_omega, n_joints) from motor angles to minus voltages."""
-        return np.stack([each.response(self.z) for each in gains], axis=1)
-
-    def responses(self, chosen: IntArray) -> ComplexArray:
-        """Responses of plants: (n_chosen, n_omega, n_joints, n_joints)."""
-        return sampled_responses(self.plants.part(chosen), self.omega, self.clock)
+        """Responses (n_joints, n_omega) from motor angles to minus voltages."""
+        return np.stack([each.response(self.z) for each in gains])
 
     def judge(
         self, controllers: ComplexArray, chosen: IntArray | None = None
@@ -103,8 +107,8 @@ class Loops:
         n_parts = -(-n_entries // _ENTRIES)
 
         def judge_part(part: IntArray) -> list[tuple[Margins, LoopBand]]:
-            responses = self.responses(np.append(0, part))  # bands begin with the estimates
-            loops = self.open_loops(responses, controllers)
+            # bands begin with the estimates
+            loops = self.open_loops(self.responses.symmetric(np.append(0, part)), controllers)
             return [
                 (margins_of(each[1:], self.omega), LoopBand.of(each, self.omega)) for each in loops
             ]
@@ -114,11 +118,9 @@ class Loops:
         bands = ("gain_db", "phase_deg", "distance")
         return [(join(m), join(b, "frequency_hz", bands)) for m, b in margins_and_bands]
 
-    @staticmethod
-    def open_loops(responses: ComplexArray, controllers: ComplexArray) -> ComplexArray:
+    def open_loops(self, symmetric: ComplexArray, controllers: ComplexArray) -> ComplexArray:
         """Loops (n_joints, n_plants, n_omega) of plants, the other loops closed."""
-        loops = np.moveaxis(effective_plants(responses, controllers) * controllers, 2, 0)
-        return np.ascontiguousarray(loops)
+        return open_loops(symmetric, self.responses.drive * controllers)
 
 
 def tune_cascades(
@@ -198,19 +200,20 @@ class _Tuner:
     def raise_gains(self, gains: Sequence[Gains], search: IntArray) -> Gains:
         """The largest gains at which the searched plants keep their margins."""
         loops, joint = self.loops, self.joint
-        plant = effective_plants(loops.responses(search), loops.controllers(gains))[..., joint]
-        sampled = sample(loops.plants, loops.clock, search)
+        controllers = loops.controllers(gains)
+        symmetric, sampled = loops.responses.symmetric(search), loops.sampled.part(search)
+        plant = loops.open_loops(symmetric, controllers)[joint] / controllers[joint]
         laws = [each.law() for each in gains]
 
         def closed(candidate: Gains) -> ClosedLoop:
-            return close(sampled, [*laws[:joint], candidate.law(), *laws[joint + 1 :]], joint)
+            return close(sampled, [*laws[:joint], candidate.law(), *laws[joint + 1 :]], (joint,))
 
         def has_margins(candidate: Gains) -> bool:
             margins = margins_of(plant * candidate.response(loops.z), loops.omega)
             return bool(margins.share(self.required).min() >= 1.0)
 
         def keeps(candidate: Gains) -> bool:  # its margins, and all plants are stable
-            return has_margins(candidate) and bool(np.abs(closed(candidate).poles()).max() < 1.0)
+            return has_margins(candidate) and bool(closed(candidate).are_stable(1.0).all())
 
         best, self.bandwidth, self.limit = gains[joint], 0.0, "margins"
         encoder = self.max_kp / self.inertia
@@ -228,7 +231,7 @@ class _Tuner:
         for ratio in _POSITION_RATIOS:
             candidate = replace(best, position_gain=self.bandwidth / ratio)
             if keeps(candidate):
-                steps = Steps.of(closed(candidate), candidate.period)
+                (steps,) = Steps.of(closed(candidate), [candidate])
                 if steps.overshoot.max() <= _MAX_OVERSHOOT:
                     break
         return candidate

@@ -13,20 +13,24 @@ from functools import partial
 from typing import TypeVar
 
 import numpy as np
-from scipy.linalg import expm
+from scipy.linalg import expm, matrix_balance
 
 from strainwave.domain import BoolArray, ComplexArray, ControlLaw, FloatArray, IntArray
 from strainwave.domain.keys import JointIndex
 from strainwave.numerics.parallel import run_parallel
 from strainwave.tune.margins import band_over
-from strainwave.tune.plants import Plants
+from strainwave.tune.plants import Plants, PoleSums
 
 _N_ALIASES = 3  # of each sign; their share falls with the third power of the frequency
 _POINTS_PER_DECADE = 40
 _POINTS_PER_RESONANCE = 24  # over three half-power bandwidths
 _LOWEST_HZ = 0.05
-_PART = 500  # plants
-_POLE_TOLERANCE = 1e-6  # rounding of the pole at one of a servo without a position loop
+_PART = 100  # plants
+_MAX_SQUARINGS = 26  # of a loop whose slowest pole is at the largest stable one
+_SMALL_POWER = 1e-2  # norm of a power of a stable loop, beyond rounding
+
+POLE_TOLERANCE = 1e-6
+"""Rounding of the pole at one of a servo without a position loop."""
 
 Result = TypeVar("Result")
 
@@ -153,27 +157,45 @@ def frequency_grid(plants: Plants, clock: Clock) -> FloatArray:
     return np.unique(np.concatenate(grids))
 
 
-def sampled_responses(plants: Plants, omega: FloatArray, clock: Clock) -> ComplexArray:
-    """Responses of sampled motor angles to voltages that are held for a period.
+@dataclass(frozen=True, slots=True, eq=False)
+class SampledResponses:
+    """Responses S diag(drive) of sampled motor angles to voltages that are held for a period.
 
     The response to a held sequence is the sum over all aliases of the continuous response times
-    that of the hold. Beyond half of the sampling rate, motors move as free inertias. Returns
-    (n_plants, n_omega, n_joints, n_joints), angle by voltage.
+    that of the hold. Beyond half of the sampling rate, motors move as free inertias.
     """
 
-    def hold(alias: FloatArray) -> ComplexArray:  # and delay, over the period
-        held = (1.0 - np.exp(-1j * omega * clock.period)) / (1j * alias * clock.period)
-        return np.asarray(held * np.exp(-1j * alias * clock.delay))
+    sums: PoleSums
+    omega: FloatArray  # (n_omega,) [rad/s]
+    drive: ComplexArray  # (n_joints, n_omega)
+    aliases: ComplexArray  # (n_joints, n_omega) of a motor inertia of one, over the drive
+    motor_inertias: FloatArray  # (n_plants, n_joints)
 
-    total = plants.responses(omega) * hold(omega)[:, None, None]
-    free = np.zeros((len(omega), plants.n_joints), dtype=complex)  # of an inertia of one
-    for k in (k for k in range(-_N_ALIASES, _N_ALIASES + 1) if k):
-        alias = omega + k * 2.0 * np.pi / clock.period
-        drive = plants.torque_per_volt / (1.0 + 1j * alias[:, None] / plants.current_loop)
-        free -= drive / alias[:, None] ** 2 * hold(alias)[:, None]
-    joints = np.arange(plants.n_joints)
-    total[:, :, joints, joints] += free / plants.motor_inertias()[:, None]
-    return np.asarray(total)
+    @classmethod
+    def of(cls, plants: Plants, omega: FloatArray, clock: Clock) -> SampledResponses:
+        """The responses at frequencies up to half of the sampling rate."""
+
+        def drive(alias: FloatArray) -> ComplexArray:  # with hold and delay, over the period
+            held = (1.0 - np.exp(-1j * omega * clock.period)) / (1j * alias * clock.period)
+            held = held * np.exp(-1j * alias * clock.delay)
+            lag = 1.0 + 1j * alias / plants.current_loop[:, None]
+            return np.asarray(plants.torque_per_volt[:, None] / lag * held)
+
+        aliases = [k for k in range(-_N_ALIASES, _N_ALIASES + 1) if k]
+        free = np.zeros((plants.n_joints, len(omega)), dtype=complex)
+        for alias in (omega + k * 2.0 * np.pi / clock.period for k in aliases):
+            free -= drive(alias) / alias**2
+        own = drive(omega)
+        sums, inertias = PoleSums.of(plants, omega), plants.motor_inertias()
+        return cls(sums, omega, own, free / own, inertias)
+
+    def symmetric(self, chosen: IntArray) -> ComplexArray:
+        """S of pairs of joints for some plants: (n_chosen, n_pairs, n_omega)."""
+        responses = self.sums.responses(self.omega, chosen)
+        first, second = np.triu_indices(len(self.drive))
+        own = np.flatnonzero(first == second)
+        responses[:, own] += self.aliases / self.motor_inertias[chosen, :, None]
+        return responses
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -186,6 +208,10 @@ class SampledPlants:
     links: FloatArray  # (n_joints, n)
     ratios: FloatArray  # (n_joints,) link angle per motor angle without torsion
 
+    def part(self, chosen: slice | IntArray) -> SampledPlants:
+        """Some of the plants."""
+        return replace(self, A=self.A[chosen], B=self.B[chosen])
+
     def map(self, function: Callable[[SampledPlants], Result]) -> list[Result]:
         """Results of a function of parts of the plants, in threads with small temporary arrays."""
         n_parts = max(-(-len(self.A) // _PART), min(os.cpu_count() or 1, len(self.A)))
@@ -193,15 +219,14 @@ class SampledPlants:
         return run_parallel([partial(function, replace(self, A=A, B=B)) for A, B in pairs])
 
 
-def sample(plants: Plants, clock: Clock, chosen: IntArray | slice = slice(None)) -> SampledPlants:
+def sample(plants: Plants, clock: Clock) -> SampledPlants:
     """Exact discretisation for voltages that a hold keeps for a period, after the delay.
 
     States are coordinates, their velocities, torques behind current loops, and the voltages of the
     last reading if there is a delay of at most one period.
     """
-    used = plants.part(chosen)
-    places = np.array_split(np.arange(len(used)), -(-len(used) // _PART))
-    parts = run_parallel([partial(_discretised, used.part(place), clock) for place in places])
+    places = np.array_split(np.arange(len(plants)), -(-len(plants) // _PART))
+    parts = run_parallel([partial(_discretised, plants.part(place), clock) for place in places])
     A, B = (np.concatenate(each) for each in zip(*parts, strict=True))
     motors, links = (
         np.pad(rows, ((0, 0), (0, A.shape[1] - rows.shape[1])))
@@ -239,52 +264,66 @@ def _discretised(plants: Plants, clock: Clock) -> tuple[FloatArray, FloatArray]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ClosedLoop:
-    """x_k+1 = A x_k + B (r_k, w_k) of one joint; its link angle, and link by motor angle."""
+    """x_k+1 = A x_k + B (r_k, w_k) of some joints, whose link angles are `links` x."""
 
     A: FloatArray  # (n_plants, n, n)
-    B: FloatArray  # (n_plants, n, 2)
-    link: FloatArray  # (n,)
-    ratio: float  # link angle per motor angle without torsion
+    B: FloatArray  # (n_plants, n, n_joints, 2)
+    links: FloatArray  # (n_joints, n)
+    ratios: FloatArray  # (n_joints,) link angle per motor angle without torsion
 
     def poles(self) -> ComplexArray:
         """Poles (n_plants, n)."""
         return np.asarray(np.linalg.eigvals(self.A))
 
-    def step(self, n_samples: int, first: FloatArray, held: FloatArray) -> FloatArray:
-        """Link angles (n_plants, n_samples) from rest.
+    def are_stable(self, limit: float = 1.0 + POLE_TOLERANCE) -> BoolArray:
+        """Whether all poles of plants (n_plants,) are smaller than a limit.
 
-        The reference (r, w) is `first` at the first sample and `held` afterwards.
+        The poles of a matrix are, if a power of it is smaller than one. Powers by squaring take a
+        fifth of the time of the poles, which are computed where no power is small.
         """
-        count, n = self.A.shape[:2]
-        system = np.zeros((count, n + 1, n + 1))  # the held reference is a constant state
-        system[:, :n, :n], system[:, :n, n], system[:, n, n] = self.A, self.B @ held, 1.0
-        state = np.concatenate([self.B @ first, np.ones((count, 1))], axis=1)[..., None]
-        # rows of a block of samples over the state at its begin
-        size = int(np.ceil(np.sqrt(n_samples)))
-        rows = np.empty((count, size, n + 1))
-        rows[:, 0] = np.append(self.link, 0.0)
-        for k in range(1, size):
-            rows[:, k] = (rows[:, k - 1, None] @ system)[:, 0]
-        over_block = np.linalg.matrix_power(system, size)
-        blocks = [np.zeros((count, 1))]
+        _, (scale, _) = matrix_balance(self.A[0], permute=False, separate=True)
+        power, unknown = self.A * (scale / scale[:, None] / limit), np.arange(len(self.A))
+        stable = np.zeros(len(self.A), dtype=bool)
         with np.errstate(over="ignore", invalid="ignore"):  # unstable loops diverge
-            for _ in range(size):
-                blocks.append((rows @ state)[..., 0])
-                state = over_block @ state
-        return np.concatenate(blocks, axis=1)[:, :n_samples]
+            for _ in range(_MAX_SQUARINGS):
+                power = power @ power
+                norm = np.abs(power).sum(axis=2).max(axis=1)
+                stable[unknown[norm < _SMALL_POWER]] = True
+                is_open = (norm >= _SMALL_POWER) & (norm < 1.0 / _SMALL_POWER**2)
+                power, unknown = power[is_open], unknown[is_open]
+        others = np.flatnonzero(~stable)
+        stable[others] = np.abs(np.linalg.eigvals(self.A[others])).max(axis=1) < limit
+        return stable
+
+    def pulse_responses(self, inputs: Sequence[int], n_samples: int) -> FloatArray:
+        """Link angles (n_joints, n_plants, n_samples) after a pulse of each joint's reference.
+
+        `inputs` of the joints are 0 for a pulse of the angle and 1 for one of the velocity.
+        """
+        # link A^i and A^j b, with i in a block of samples and j its begin; powers of A double them
+        count, n_joints, size = len(self.A), len(self.links), int(np.sqrt(n_samples))
+        rows, power = np.broadcast_to(self.links, (count, *self.links.shape)), self.A
+        columns = np.stack([self.B[:, :, i, k] for i, k in enumerate(inputs)], axis=2)
+        while rows.shape[1] < size * n_joints:
+            rows = np.concatenate([rows, rows @ power], axis=1)
+            power = power @ power
+        while rows.shape[1] * columns.shape[2] < n_samples * n_joints**2:
+            columns = np.concatenate([columns, power @ columns], axis=2)
+            power = power @ power
+        rows = rows.reshape(count, -1, n_joints, rows.shape[2]).transpose(2, 0, 3, 1)
+        columns = columns.reshape(*columns.shape[:2], -1, n_joints).transpose(3, 0, 2, 1)
+        response = np.ascontiguousarray(columns) @ rows
+        return response.reshape(n_joints, count, -1)[:, :, :n_samples]
 
 
-def are_stable(poles: ComplexArray) -> BoolArray:
-    """Whether plants (n_plants,) are stable; a servo without a position loop has a pole at one."""
-    return np.asarray(np.abs(poles).max(axis=1) <= 1.0 + _POLE_TOLERANCE)
-
-
-def close(plants: SampledPlants, laws: Sequence[ControlLaw], joint: JointIndex) -> ClosedLoop:
-    """Close the loops of all joints; the reference is that of one joint."""
+def close(
+    plants: SampledPlants, laws: Sequence[ControlLaw], joints: Sequence[JointIndex] = ()
+) -> ClosedLoop:
+    """Close the loops of all joints; the references are those of some joints."""
     count, n = plants.A.shape[:2]
     sizes = [len(law.A) for law in laws]
     starts = n + np.concatenate([[0], np.cumsum(sizes)]).astype(int)
-    A, B = np.zeros((count, starts[-1], starts[-1])), np.zeros((count, starts[-1], 2))
+    A, B = np.zeros((count, starts[-1], starts[-1])), np.zeros((count, starts[-1], len(laws), 2))
     A[:, :n, :n] = plants.A
     for i, (law, start) in enumerate(zip(laws, starts, strict=False)):
         own, voltage, angle = slice(start, start + len(law.A)), plants.B[:, :, i], plants.motors[i]
@@ -292,11 +331,11 @@ def close(plants: SampledPlants, laws: Sequence[ControlLaw], joint: JointIndex) 
         A[:, :n, own] = voltage[:, :, None] * law.C
         A[:, own, own] = law.A + np.outer(law.E, law.C)
         A[:, own, :n] = np.outer(law.B[:, 2] + law.E * law.D[2], angle)
-        if i == joint:
-            B[:, :n] = voltage[:, :, None] * law.D[:2]
-            B[:, own] = law.B[:, :2] + np.outer(law.E, law.D[:2])
-    link = np.pad(plants.links[joint], (0, starts[-1] - n))
-    return ClosedLoop(A, B, link, float(plants.ratios[joint]))
+        B[:, :n, i] = voltage[:, :, None] * law.D[:2]
+        B[:, own, i] = law.B[:, :2] + np.outer(law.E, law.D[:2])
+    some = list(joints)
+    links = np.pad(plants.links, ((0, 0), (0, starts[-1] - n)))
+    return ClosedLoop(A, B[:, :, some], links[some], plants.ratios[some])
 
 
 STEP_SECONDS = 2.0
@@ -324,16 +363,20 @@ class Steps:
     overshoot: FloatArray  # share of the step
 
     @classmethod
-    def of(cls, loop: ClosedLoop, period: float, *, by_velocity: bool = False) -> Steps:
-        """Step of the reference angle, or of a servo without position loop.
+    def of(cls, loop: ClosedLoop, gains: Sequence[Gains]) -> list[Steps]:
+        """Steps of the reference angles of a loop's joints, whose servos have some gains.
 
-        For the latter (`by_velocity`) the velocity reference is the derivative of the step: one
-        pulse.
+        A servo without position loop has a velocity reference that is the derivative of the step:
+        one pulse. The response to a step of the angle is the sum of those to pulses.
         """
+        period, by_velocity = gains[0].period, [not each.position_gain for each in gains]
         n = round(STEP_SECONDS / period)
-        step, pulse, rest = np.array([1.0, 0.0]), np.array([0.0, 1.0 / period]), np.zeros(2)
-        link = loop.step(n, pulse, rest) if by_velocity else loop.step(n, step, step)
-        share = link / loop.ratio
+        pulses = loop.pulse_responses([int(each) for each in by_velocity], n - 1)
         time: FloatArray = period * np.arange(n, dtype=np.float64)
-        overshoot = np.maximum(share.max(axis=1) - 1.0, 0.0)
-        return cls(time, band_over(share), settling_times(share, period), overshoot)
+        steps = []
+        for ratio, pulse, is_pulse in zip(loop.ratios, pulses, by_velocity, strict=True):
+            link = pulse / period if is_pulse else np.cumsum(pulse, axis=1)
+            share = np.pad(link / ratio, ((0, 0), (1, 0)))
+            overshoot = np.maximum(share.max(axis=1) - 1.0, 0.0)
+            steps.append(cls(time, band_over(share), settling_times(share, period), overshoot))
+        return steps

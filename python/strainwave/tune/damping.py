@@ -13,7 +13,7 @@ stable and keep their margins, and if the least damping of all plants rises mark
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
@@ -22,7 +22,7 @@ from strainwave.domain import ComplexArray, ControlLaw, FloatArray, IntArray
 from strainwave.domain.arm.description import MAX_LAW_STATES
 from strainwave.domain.keys import JointNumber
 from strainwave.tune.cascade_tuning import Loops
-from strainwave.tune.closed_loop import Gains, SampledPlants, are_stable, close
+from strainwave.tune.closed_loop import POLE_TOLERANCE, Gains, SampledPlants, close
 from strainwave.tune.margins import Margins, Requirements, margins_of
 from strainwave.tune.observer import Observer
 
@@ -58,7 +58,6 @@ class Damping:
 
 def design_damping(
     loops: Loops,
-    sampled: SampledPlants,
     gains: Sequence[Gains],
     observers: Sequence[Observer],
     required: Requirements,
@@ -75,8 +74,8 @@ def design_damping(
     sizes = [len(laws[each.joint - 1].A) + len(each.names) for each in observers]
     modes = loops.plants.resonances(with_held_motors=True)
     highest = _LINK_BAND * max(float(omega.max()) for omega, _ in modes)
-    search = _GainSearch(loops, sampled, laws, tuple(observers), required, highest)
-    plain = search.dampings(np.arange(len(sampled.A)), laws)
+    search = _GainSearch(loops, laws, tuple(observers), required, highest)
+    plain = search.dampings(np.arange(len(loops.plants)), laws)
     without = _least_and_median(plain)
     if max(sizes) > MAX_LAW_STATES:
         reason = "servo, filters and observer have too many states for one control law"
@@ -120,7 +119,6 @@ class _GainSearch:
     """Search of the gains of all joints."""
 
     loops: Loops
-    sampled: SampledPlants
     plain: tuple[ControlLaw, ...]
     observers: tuple[Observer, ...]
     required: Requirements
@@ -132,7 +130,7 @@ class _GainSearch:
 
     def best(self, without: Pair, chosen: IntArray) -> tuple[Damping, ...]:
         """The results with the best gains; `chosen` are the first plants of the search."""
-        every, reason = np.arange(len(self.sampled.A)), ""
+        every, reason = np.arange(len(self.loops.plants)), ""
         for _ in range(_MAX_ROUNDS):
             pairs = self._climb(chosen)
             laws = self.laws(pairs)
@@ -167,10 +165,10 @@ class _GainSearch:
             ratios = self.dampings(chosen, laws)
             return float(ratios.min() + _MEAN_WEIGHT * ratios.mean())
 
-        responses, omega = self.loops.responses(chosen), self.loops.omega
+        symmetric, omega = self.loops.responses.symmetric(chosen), self.loops.omega
 
         def keeps(laws: Sequence[ControlLaw]) -> bool:  # its margins
-            loops = self.loops.open_loops(responses, self.feedbacks(laws))
+            loops = self.loops.open_loops(symmetric, self.feedbacks(laws))
             margins = (margins_of(each, omega) for each in loops)
             return all(each.share(self.required).min() >= 1.0 for each in margins)
 
@@ -198,23 +196,23 @@ class _GainSearch:
         period = self.loops.clock.period
 
         def of_part(part: SampledPlants) -> FloatArray:
-            poles = close(part, laws, 0).poles()
+            poles = close(part, laws).poles()
             rates = np.log(np.where(poles == 0.0, 1e-300, poles)) / period
             omega = np.abs(rates)
             is_mode = (rates.imag > 0.0) & (omega < self.highest)
             ratios = np.where(is_mode, -rates.real / np.maximum(omega, 1e-300), 1.0).min(axis=1)
-            return np.where(are_stable(poles), ratios, -1.0)
+            largest = np.abs(poles).max(axis=1)
+            return np.where(largest < 1.0 + POLE_TOLERANCE, ratios, -1.0)
 
-        some = replace(self.sampled, A=self.sampled.A[chosen], B=self.sampled.B[chosen])
-        return np.concatenate(some.map(of_part))
+        return np.concatenate(self.loops.sampled.part(chosen).map(of_part))
 
     def margins(self, chosen: IntArray, laws: Sequence[ControlLaw]) -> list[Margins]:
         """Margins of the loops of all joints."""
         return [margins for margins, _ in self.loops.judge(self.feedbacks(laws), chosen)]
 
     def feedbacks(self, laws: Sequence[ControlLaw]) -> ComplexArray:
-        """Responses (n_omega, n_joints) from motor angles to minus voltages."""
-        return np.stack([each.feedback(self.loops.z) for each in laws], axis=1)
+        """Responses (n_joints, n_omega) from motor angles to minus voltages."""
+        return np.stack([each.feedback(self.loops.z) for each in laws])
 
 
 def _least_and_median(ratios: FloatArray) -> Pair:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from itertools import product
 
 import numpy as np
@@ -24,9 +23,7 @@ from strainwave.tune.closed_loop import (
     Gains,
     SampledPlants,
     Steps,
-    are_stable,
     close,
-    sample,
 )
 from strainwave.tune.damping import Damping, design_damping
 from strainwave.tune.margins import LoopBand, Margins, Requirements, join
@@ -151,8 +148,8 @@ def design_servo(
     resolutions = np.array([joint.encoder_resolution for joint in arm.study.arm.joints])
     tuned, judged = tune_cascades(loops, options.required, resolutions=resolutions, limits=limits)
     progress("simulating steps")
-    sampled = sample(plants, clock)
     gains, servo, current = [each for each, _ in tuned], arm.study.arm.servo, None
+    sampled = loops.sampled
     if servo is not None:
         of_joints = servo.kp, servo.ki, servo.position_gain or (0.0,) * len(servo.kp)
         current = [Gains(*each, clock.period) for each in zip(*of_joints, strict=True)]
@@ -180,7 +177,7 @@ def design_servo(
         for is_known in (True, False)
     )
     dampings = design_damping(
-        loops, sampled, gains, by_motors, options.required, [each.margins for each in results]
+        loops, gains, by_motors, options.required, [each.margins for each in results]
     )
     progress("comparing moves")
     posture = conditions[0].posture
@@ -259,21 +256,15 @@ def _results(
     judged: Sequence[tuple[Margins, LoopBand]], sampled: SampledPlants, gains: Sequence[Gains]
 ) -> list[LoopResults]:
     laws = [each.law() for each in gains]
-
-    def steps(joint: int, part: SampledPlants) -> Steps:
-        own = gains[joint]
-        return Steps.of(close(part, laws, joint), own.period, by_velocity=not own.position_gain)
-
-    results = []
-    for i, (margins, band) in enumerate(judged):
-        parts = sampled.map(partial(steps, i))
-        results.append(LoopResults(margins, band, join(parts, "time", ("link",))))
-    return results
+    every = range(len(laws))
+    parts = sampled.map(lambda part: Steps.of(close(part, laws, every), gains))
+    steps = [join(each, "time", ("link",)) for each in zip(*parts, strict=True)]
+    return [LoopResults(*each, own) for each, own in zip(judged, steps, strict=True)]
 
 
 def _count_unstable(sampled: SampledPlants, gains: Sequence[Gains]) -> int:
     laws = [each.law() for each in gains]
-    stable = sampled.map(lambda part: are_stable(close(part, laws, 0).poles()))
+    stable = sampled.map(lambda part: close(part, laws).are_stable())
     return int((~np.concatenate(stable)).sum())
 
 

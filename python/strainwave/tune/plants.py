@@ -17,7 +17,7 @@ from itertools import product
 
 import numpy as np
 
-from strainwave.domain import ComplexArray, FloatArray, IntArray, Payload
+from strainwave.domain import BoolArray, ComplexArray, FloatArray, IntArray, Payload
 from strainwave.domain.keys import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import NotIdentifiable
@@ -79,41 +79,6 @@ class Plants:
         F[:, n:], G[:, n:] = np.split(np.linalg.solve(self.mass, of_motion), [2 * n], axis=2)
         return F, G
 
-    def responses(self, omega: FloatArray) -> ComplexArray:
-        """Responses of motor angles to voltages, at frequencies [rad/s].
-
-        The shape is (n_plants, n_omega, n_joints, n_joints): by angle, then by voltage. Sums over
-        the poles of a plant cost a tenth of the solution of its equations at each frequency. They
-        are inaccurate for nearly equal poles, as of a rigid motion without friction: those plants
-        are solved.
-        """
-        system, by_torque = self.equations()
-        poles, modes = np.linalg.eig(system)
-        n, n_joints = self.mass.shape[1], self.n_joints
-        of_poles = 1.0 / (1j * omega[:, None] - poles[:, None])
-        shape = (len(self), len(omega), n_joints, n_joints)
-        with np.errstate(over="ignore", invalid="ignore"):  # of nearly equal poles
-            excited, angles = np.linalg.solve(modes, by_torque), self.motors @ modes[:, :n]
-            residues = np.swapaxes(angles, 1, 2)[..., None] * excited[:, :, None]
-            response = (of_poles @ residues.reshape(len(self), 2 * n, -1)).reshape(shape)
-        probed = np.arange(0, len(omega), -(-len(omega) // _N_PROBED))
-        solved = self._solved_responses(omega[probed])
-        error = np.abs(response[:, probed] - solved).max(axis=(2, 3))
-        accuracy = _MAX_ROUNDING * np.abs(solved).max(axis=(2, 3))
-        is_accurate = (error <= accuracy).all(axis=1)  # false for one that is not a number
-        if not is_accurate.all():
-            others = self.part(np.flatnonzero(~is_accurate))
-            response[~is_accurate] = others._solved_responses(omega)
-        drive = self.torque_per_volt / (1.0 + 1j * omega[:, None] / self.current_loop)
-        return np.asarray(response * drive[:, None, :])
-
-    def _solved_responses(self, omega: FloatArray) -> ComplexArray:
-        """Responses of motor angles to motor torques, in the shape of `responses`."""
-        s = 1j * omega[:, None, None]
-        system = s**2 * self.mass[:, None] + s * self.damping[:, None] + self.stiffness[:, None]
-        inputs = np.broadcast_to(self.motors.T, (*system.shape[:3], self.n_joints))
-        return np.asarray(self.motors @ np.linalg.solve(system, inputs))
-
     def motor_inertias(self) -> FloatArray:
         """Inertia that each motor accelerates in the first instant: (n_plants, n_joints)."""
         motors = np.broadcast_to(self.motors.T, (len(self), *self.motors.T.shape))
@@ -144,6 +109,53 @@ class Plants:
         omega = np.sqrt(np.maximum(squares, 0.0))
         moving = omega.min(axis=0) > _RIGID_SHARE * omega.max()
         return [(omega[:, k], 0.5 * damping[:, k] / omega[:, k]) for k in np.flatnonzero(moving)]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PoleSums:
+    """Responses of motor angles to motor torques as sums over the poles of each plant.
+
+    Poles and residues do not depend on servos. Responses are symmetric, so that those of pairs of
+    joints suffice: (0, 0), (0, 1) ... (n_joints - 1, n_joints - 1).
+    """
+
+    plants: Plants
+    poles: ComplexArray  # (n_plants, 2 n)
+    residues: ComplexArray  # (n_plants, n_pairs, 2 n)
+    is_accurate: BoolArray  # (n_plants,) false for nearly equal poles: those plants are solved
+
+    @classmethod
+    def of(cls, plants: Plants, omega: FloatArray) -> PoleSums:
+        """The sums, compared with solutions at some of the frequencies [rad/s]."""
+        system, by_torque = plants.equations()
+        poles, modes = np.linalg.eig(system)
+        first, second = np.triu_indices(plants.n_joints)
+        with np.errstate(over="ignore", invalid="ignore"):  # of nearly equal poles
+            excited = np.swapaxes(np.linalg.solve(modes, by_torque), 1, 2)
+            angles = plants.motors @ modes[:, : plants.mass.shape[1]]
+            residues = angles[:, first] * excited[:, second]
+            sums = cls(plants, poles, residues, np.ones(len(plants), dtype=bool))
+            probed = omega[:: -(-len(omega) // _N_PROBED)]
+            every, solved = np.arange(len(plants)), _solved_responses(plants, probed)
+            error = np.abs(sums.responses(probed, every) - solved).max(axis=1)
+        accuracy = _MAX_ROUNDING * np.abs(solved).max(axis=1)
+        return replace(sums, is_accurate=(error <= accuracy).all(axis=1))  # false for NaN
+
+    def responses(self, omega: FloatArray, chosen: IntArray) -> ComplexArray:
+        """Responses (n_chosen, n_pairs, n_omega) at frequencies [rad/s]."""
+        response = self.residues[chosen] @ (1.0 / (1j * omega - self.poles[chosen, :, None]))
+        if len(others := np.flatnonzero(~self.is_accurate[chosen])):
+            response[others] = _solved_responses(self.plants.part(chosen[others]), omega)
+        return np.asarray(response)
+
+
+def _solved_responses(plants: Plants, omega: FloatArray) -> ComplexArray:
+    """Responses in the shape of `PoleSums.responses`, at ten times their cost."""
+    s = 1j * omega[:, None, None]
+    system = s**2 * plants.mass[:, None] + s * plants.damping[:, None] + plants.stiffness[:, None]
+    inputs = np.broadcast_to(plants.motors.T, (*system.shape[:3], plants.n_joints))
+    first, second = np.triu_indices(plants.n_joints)
+    return np.moveaxis((plants.motors @ np.linalg.solve(system, inputs))[..., first, second], 1, 2)
 
 
 def plants_of(
