@@ -7,10 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-from strainwave.domain import FloatArray, Parameter, Study
+from strainwave.domain import ComplexArray, FloatArray, Parameter, Study
 from strainwave.domain.arm.kinds import change_arm_keys
 from strainwave.domain.keys import Values
 from strainwave.export import IdentifiedArm
+from strainwave.tune.closed_loop import SampledPlants
 from strainwave.tune.observer import Observer
 from strainwave.virtual import scara
 
@@ -65,3 +66,21 @@ def state_at_rest(observer: Observer, motor_angle: float, link_angle: float) -> 
     x = np.zeros(len(observer.A))
     x[[0, 2]] = motor_angle, link_angle
     return x
+
+
+def exact_responses(sampled: SampledPlants, z: ComplexArray) -> ComplexArray:
+    """C (z - A)^-1 B of all plants, (n_plants, n_omega, n_joints, n_joints)."""
+    system = z[:, None, None] * np.eye(sampled.A.shape[1]) - sampled.A[:, None]
+    inputs = np.broadcast_to(sampled.B[:, None], (*system.shape[:3], sampled.B.shape[2]))
+    return np.asarray(sampled.motors @ np.linalg.solve(system, inputs.astype(complex)))
+
+
+def loops_of(responses: ComplexArray, controllers: ComplexArray) -> ComplexArray:
+    """Loops (n_joints, n_plants, n_omega) of responses, each with the other loops closed.
+
+    With all loops closed, y = T u with T = (1 + P C)^-1 P; opening a loop removes T_ii C_i.
+    """
+    by_input = controllers.T[:, None, :]
+    closed = np.linalg.solve(np.eye(len(controllers)) + responses * by_input, responses)
+    own = np.diagonal(closed, axis1=2, axis2=3) * controllers.T
+    return np.moveaxis(own / (1.0 - own), 2, 0)

@@ -23,7 +23,7 @@ from strainwave.domain import ArmDescription, Joint, Servo, Study
 from strainwave.domain.keys import Values
 from strainwave.export.source import IdentifiedArm
 from strainwave.tune.cascade_tuning import Loops, tune_cascades
-from strainwave.tune.closed_loop import Clock, Steps, close, sample
+from strainwave.tune.closed_loop import Clock, Steps, close
 from strainwave.tune.margins import Margins, Requirements
 from strainwave.tune.plants import Condition, plants_of
 
@@ -79,8 +79,8 @@ def design(draws: int) -> Positioning:
     limits = np.array([_TORQUE])
     tuned, judged = tune_cascades(loops, Requirements(), resolutions=np.zeros(1), limits=limits)
     gains = [each for each, _ in tuned]
-    loop = close(sample(plants, clock), [each.law() for each in gains], 0)
-    return Positioning(Steps.of(loop, _PERIOD), judged[0][0])
+    loop = close(loops.sampled, [each.law() for each in gains], (0,))
+    return Positioning(Steps.of(loop, gains)[0], judged[0][0])
 
 
 def main() -> None:

@@ -85,16 +85,16 @@ def test_closed_loop_equals_the_linear_model() -> None:
     source = IdentifiedArm(replace(study, arm=arm), (), "test")
     plants = plants_of(source, [values], [Condition(np.zeros(2))])
     sampled = sample(plants, Clock(PERIOD))
-    closed = close(sampled, laws(), 0)
+    closed = close(sampled, laws(), (0,))
     reference = small_steps(1e-3)
     angle = PERIOD * np.concatenate([[0.0], np.cumsum(reference[:-1, 0])])
     states = [np.zeros(closed.A.shape[1])]
     for inputs in np.column_stack([angle, reference[:, 0]])[:-1]:
-        states.append(closed.A[0] @ states[-1] + closed.B[0] @ inputs)
-    motor = np.pad(sampled.motors[0], (0, len(closed.link) - sampled.A.shape[1]))
+        states.append(closed.A[0] @ states[-1] + closed.B[0, :, 0] @ inputs)
+    motor = np.pad(sampled.motors[0], (0, closed.links.shape[1] - sampled.A.shape[1]))
     expected: dict[Quantity, FloatArray] = {
         "motor_angle": np.array(states) @ motor,
-        "link_angle": np.array(states) @ closed.link,
+        "link_angle": np.array(states) @ closed.links[0],
     }
     run = simulate(
         Arm.of(arm),

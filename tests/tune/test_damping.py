@@ -56,7 +56,7 @@ def test_the_damping_is_that_of_the_exact_plants() -> None:
     plants = plants_of(design.arm, draws, design.conditions)
     highest = 1.1 * max(omega.max() for omega, _ in plants.resonances(with_held_motors=True))
     for each, name in zip(laws(design), ("without", "with_feedback"), strict=True):
-        loop = close(sample(plants, design.clock), each, 0)
+        loop = close(sample(plants, design.clock), each)
         assert np.abs(loop.poles()).max() < 1.0
         ratios = []
         for pole in loop.poles().ravel().tolist():

@@ -8,27 +8,26 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar
 
-from servo_arms import rig
+from servo_arms import exact_responses, loops_of, rig
 from strainwave.domain import ComplexArray, FloatArray
 from strainwave.export.randomisation import drawn_values
 from strainwave.tune.closed_loop import (
     Clock,
     Gains,
-    SampledPlants,
+    SampledResponses,
     Steps,
     close,
     frequency_grid,
     sample,
-    sampled_responses,
 )
 from strainwave.tune.margins import (
     LoopBand,
     Requirements,
-    effective_plants,
     join,
     margins_of,
+    open_loops,
 )
-from strainwave.tune.plants import Condition, Plants, plants_of
+from strainwave.tune.plants import Condition, Plants, PoleSums, plants_of
 
 OMEGA = np.geomspace(0.1, 1e3, 4000)
 # linear interpolation between 4000 frequencies of four decades: about the square of a step
@@ -44,13 +43,6 @@ def plants() -> Plants:
     arm = rig()
     draws = drawn_values(arm, None, 2, np.random.default_rng(0))
     return plants_of(arm, draws, [Condition(np.zeros(2)), Condition(np.array([0.3, 1.8]))])
-
-
-def exact_responses(sampled: SampledPlants, z: ComplexArray) -> ComplexArray:
-    """C (z - A)^-1 B of all plants, (n_plants, n_omega, n_joints, n_joints)."""
-    system = z[:, None, None] * np.eye(sampled.A.shape[1]) - sampled.A[:, None]
-    inputs = np.broadcast_to(sampled.B[:, None], (*system.shape[:3], sampled.B.shape[2]))
-    return np.asarray(sampled.motors @ np.linalg.solve(system, inputs.astype(complex)))
 
 
 @pytest.mark.parametrize(("gain", "delay"), [(20.0, 0.01), (5.0, 0.2)])
@@ -119,13 +111,19 @@ def test_sampled_responses_are_those_of_the_exact_discretisation(
     omega = frequency_grid(plants, clock)[::10]
     omega = omega[omega < 0.9 * clock.nyquist]
     exact = exact_responses(sample(plants, clock), np.exp(1j * omega * clock.period))
-    responses = sampled_responses(plants, omega, clock)
+    responses = full(SampledResponses.of(plants, omega, clock))
     for i in range(2):
         # of the aliases that are left out, those of the fourth sampling rate are 3e-4 at most
         error = np.abs(responses[..., i, i] / exact[..., i, i] - 1.0)
         assert error.max() < 5e-4
     size = np.abs(exact[..., 0, 0] * exact[..., 1, 1]) ** 0.5
     assert (np.abs(responses - exact)[..., 0, 1] / size).max() < 1e-5
+
+
+def full(responses: SampledResponses) -> ComplexArray:
+    """Responses of all plants, (n_plants, n_omega, n_joints, n_joints)."""
+    symmetric = responses.symmetric(np.arange(len(responses.motor_inertias)))[:, [[0, 1], [1, 2]]]
+    return np.moveaxis(symmetric * responses.drive, 3, 1)
 
 
 @pytest.mark.parametrize("friction", [1.0, 1e-9, 0.0])
@@ -135,34 +133,50 @@ def test_responses_are_those_of_the_equations_of_motion(plants: Plants, friction
     omega = np.geomspace(0.3, 3e3, 50)
     s = 1j * omega[:, None, None]
     system = s**2 * arms.mass[:, None] + s * arms.damping[:, None] + arms.stiffness[:, None]
-    drive = arms.torque_per_volt / (1.0 + 1j * omega[:, None] / arms.current_loop)
-    expected = arms.motors @ np.linalg.inv(system) @ arms.motors.T * drive[:, None]
-    size = np.abs(expected).max(axis=(2, 3), keepdims=True)
+    expected = np.moveaxis(arms.motors @ np.linalg.inv(system) @ arms.motors.T, 1, 3)
+    responses = PoleSums.of(arms, omega).responses(omega, np.arange(len(arms)))
+    size = np.abs(expected).max(axis=(1, 2))[:, None]
     # the accuracy of the sums over poles, and of the inverse between rigid motion and resonances
-    np.testing.assert_array_less(np.abs(arms.responses(omega) - expected) / size, 1e-8)
+    error = np.abs(responses - expected[:, [0, 0, 1], [0, 1, 1]])
+    np.testing.assert_array_less(error / size, 1e-8)
 
 
 @pytest.mark.parametrize("joint", [0, 1])
-def test_an_effective_plant_has_the_other_loop_closed(plants: Plants, joint: int) -> None:
+def test_an_open_loop_has_the_other_loop_closed(plants: Plants, joint: int) -> None:
     """y / w = G P / (1 + C P) of the complete closed loop, with C = G (K + d), d the difference."""
     clock = Clock(1e-3, 0.4e-3)
     omega = np.geomspace(1.0, 0.9 * clock.nyquist, 60)
     z = np.exp(1j * omega * clock.period)
     sampled = sample(plants, clock)
-    controllers = np.stack([gains.response(z) for gains in GAINS], axis=1)
-    plant = effective_plants(exact_responses(sampled, z), controllers)[..., joint]
+    controllers = np.stack([gains.response(z) for gains in GAINS])
+    responses = exact_responses(sampled, z) / plants.torque_per_volt  # symmetric
+    symmetric = np.moveaxis(responses[..., [0, 0, 1], [0, 1, 1]], 2, 1)
+    loops = open_loops(symmetric, controllers * plants.torque_per_volt[:, None])[joint]
     own = GAINS[joint]
     of_velocity = own.kp + own.ki * clock.period / (1.0 - 1.0 / z)
-    expected = of_velocity * plant / (1.0 + controllers[:, joint] * plant)
+    expected = of_velocity * loops / controllers[joint] / (1.0 + loops)
 
-    loop = close(sampled, [gains.law() for gains in GAINS], joint)
+    loop = close(sampled, [gains.law() for gains in GAINS], (joint,))
     system = z[:, None, None] * np.eye(loop.A.shape[1]) - loop.A[:, None]
-    inputs = np.broadcast_to(loop.B[:, None, :, 1:], (*system.shape[:3], 1)).astype(complex)
+    inputs = np.broadcast_to(loop.B[:, None, :, 0, 1:], (*system.shape[:3], 1)).astype(complex)
     motor = np.pad(sampled.motors[joint], (0, loop.A.shape[1] - sampled.A.shape[1]))
     response = (motor @ np.linalg.solve(system, inputs))[..., 0]
     np.testing.assert_allclose(response, expected, rtol=1e-6)
-    alone = exact_responses(sampled, z)[..., joint, joint]
-    assert np.abs(plant / alone - 1.0).max() > 0.01  # the coupling matters
+    alone = controllers[joint] * exact_responses(sampled, z)[..., joint, joint]
+    assert np.abs(loops / alone - 1.0).max() > 0.01  # the coupling matters
+
+
+def test_loops_of_six_joints_are_those_of_a_solution_at_each_frequency() -> None:
+    rng = np.random.default_rng(0)
+    parts = rng.standard_normal((4, 2, 3, 5, 6, 6))
+    responses = parts[0, 0] + 1j * parts[1, 1]
+    responses = responses + np.swapaxes(responses, 2, 3)
+    factors = parts[2, 0, 0, :, 0].T + 1j * parts[3, 0, 0, :, 0].T
+    first, second = np.triu_indices(6)
+    symmetric = np.moveaxis(responses[..., first, second], 2, 1)
+    np.testing.assert_allclose(
+        open_loops(symmetric, factors), loops_of(responses, factors), rtol=1e-9
+    )
 
 
 def test_bands_contain_all_loops_and_begin_with_the_estimates() -> None:
@@ -182,8 +196,10 @@ def test_bands_contain_all_loops_and_begin_with_the_estimates() -> None:
 @pytest.mark.parametrize("by_velocity", [False, True])
 def test_steps_equal_the_recursion_sample_by_sample(plants: Plants, by_velocity: bool) -> None:
     sampled = sample(plants, Clock(1e-3, 0.4e-3))
-    loop = close(sampled, [gains.law() for gains in GAINS], 1)
-    steps = Steps.of(loop, 1e-3, by_velocity=by_velocity)
+    gains = [replace(each, position_gain=0.0) if by_velocity else each for each in GAINS]
+    laws = [each.law() for each in gains]
+    loop = close(sampled, laws, (1,))
+    (steps,) = Steps.of(loop, gains[1:])
     reference = np.zeros((len(steps.time), 2))
     reference[slice(1) if by_velocity else slice(None), int(by_velocity)] = (
         1e3 if by_velocity else 1.0
@@ -191,23 +207,27 @@ def test_steps_equal_the_recursion_sample_by_sample(plants: Plants, by_velocity:
     state = np.zeros(loop.A.shape[:2])
     link = np.empty((len(state), len(reference)))
     for k, now in enumerate(reference):
-        link[:, k] = state @ loop.link / loop.ratio
-        state = (loop.A @ state[..., None])[..., 0] + loop.B @ now
+        link[:, k] = state @ loop.links[0] / loop.ratios
+        state = (loop.A @ state[..., None])[..., 0] + loop.B[:, :, 0] @ now
     np.testing.assert_allclose(steps.link[:, 0], link.min(axis=0), atol=1e-9)
     np.testing.assert_allclose(steps.link[:, 1], link[0], atol=1e-9)
     np.testing.assert_allclose(steps.overshoot, np.maximum(link.max(axis=1) - 1.0, 0.0), atol=1e-9)
     parts = [
-        Steps.of(close(p, [g.law() for g in GAINS], 1), 1e-3, by_velocity=by_velocity)
-        for p in halves(sampled)
+        Steps.of(close(sampled.part(half), laws, (0, 1)), gains)[1]
+        for half in (slice(len(plants) // 2), slice(len(plants) // 2, None))
     ]
     joined = join(parts, "time", ("link",))
     np.testing.assert_allclose(joined.link, steps.link, atol=1e-12)
     np.testing.assert_array_equal(joined.settling, steps.settling)
 
 
-def halves(sampled: SampledPlants) -> list[SampledPlants]:
-    half = len(sampled.A) // 2
-    return [
-        replace(sampled, A=sampled.A[part], B=sampled.B[part])
-        for part in (slice(half), slice(half, None))
-    ]
+@pytest.mark.parametrize("factor", [0.5, 3.0])
+def test_stability_by_powers_is_that_of_the_poles(plants: Plants, factor: float) -> None:
+    """Also where a loop without position loop has a pole at one, and near the stability limit."""
+    sampled = sample(plants, Clock(1e-3, 0.4e-3))
+    gains = [replace(each, kp=factor * each.kp, position_gain=0.0) for each in GAINS]
+    loop = close(sampled, [each.law() for each in gains])
+    largest = np.abs(loop.poles()).max(axis=1)
+    np.testing.assert_array_equal(loop.are_stable(), largest < 1.0 + 1e-6)
+    for limit in np.outer(np.sort(largest), [1.0 - 1e-7, 1.0 + 1e-7]).ravel().tolist():
+        np.testing.assert_array_equal(loop.are_stable(limit), largest < limit)

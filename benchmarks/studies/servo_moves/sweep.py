@@ -10,9 +10,9 @@ import numpy as np
 
 from benchmarks.studies.servo_moves.tuned import Tuned, drive_under
 from strainwave.domain import ComplexArray, FloatArray
-from strainwave.tune.closed_loop import sampled_responses
+from strainwave.tune.closed_loop import SampledResponses
 from strainwave.tune.feed_forward import feed_forward, point_to_point
-from strainwave.tune.margins import effective_plants, margins_of
+from strainwave.tune.margins import margins_of, open_loops
 from strainwave.tune.plants import Condition, plants_of
 
 _HZ, _N_RUNS = np.geomspace(4.0, 320.0, 48), 4  # each run has every fourth line
@@ -43,14 +43,16 @@ def sweep(tuned: Tuned) -> Iterator[Loop]:
     used = round(_SECONDS / period) // 2
     hz = np.unique(np.round(_HZ * used * period)) / (used * period)
     omega = math.tau * hz
-    closed = np.stack([each.response(np.exp(1j * omega * period)) for each in design.gains], axis=1)
+    controllers = np.stack([each.response(np.exp(1j * omega * period)) for each in design.gains])
     for i in range(tuned.arm.n_joints):
         middle = posture.copy()  # of the used part of the record
         middle[i] += tuned.arm.gear_ratios[i] * _SPEED * (0.75 * _SECONDS - 0.1)
         plants = plants_of(design.arm, [design.arm.values], [Condition(middle)])
-        each = effective_plants(sampled_responses(plants, omega, design.clock), closed)[..., i]
-        for name, plant in (("lowest", each[0]), ("highest", each[-1])):
-            yield Loop(i + 1, f"predicted, {name} slope", omega, plant * closed[:, i])
+        responses = SampledResponses.of(plants, omega, design.clock)
+        symmetric = responses.symmetric(np.arange(len(plants)))
+        loops = open_loops(symmetric, responses.drive * controllers)[i]
+        for name, loop in (("lowest", loops[0]), ("highest", loops[-1])):
+            yield Loop(i + 1, f"predicted, {name} slope", omega, loop)
         yield Loop(i + 1, "measured", omega, _measured(tuned, i, hz, used))
 
 

@@ -10,10 +10,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import accumulate, repeat, takewhile
+from operator import mul
+from typing import TypeVar
 
 import numpy as np
 
 from strainwave.domain import ComplexArray, FloatArray, IntArray
+from strainwave.domain.keys import JointIndex
 from strainwave.errors import InvalidInput
 from strainwave.numerics.parallel import run_parallel
 from strainwave.tune.closed_loop import (
@@ -21,10 +25,10 @@ from strainwave.tune.closed_loop import (
     Clock,
     ClosedLoop,
     Gains,
-    Steps,
-    close,
     SampledPlants,
     SampledResponses,
+    Steps,
+    close,
     frequency_grid,
     low_pass,
     notch,
@@ -57,7 +61,11 @@ _MAX_OVERSHOOT = 0.05  # of the link after a step of the position
 _N_SEARCH_DRAWS = 8
 _N_SWEEPS = 2  # over the joints; a third changes gains by less than a step
 _MAX_ADDED = 12  # rounds in which the worst plants join the search
-_ENTRIES = 200_000  # of responses that one thread judges at a time: 20 MB
+_ENTRIES = 400_000  # of responses that one thread judges at a time: 20 MB
+_SCREENED = 4  # every such frequency is compared over all plants
+_N_SCREENED = 20  # plants of each joint that are then compared at all frequencies
+
+Result = TypeVar("Result")
 
 FilterMaker = Callable[[float], tuple[Biquad, ...]]
 """Filters of a loop by its bandwidth [rad/s]."""
@@ -95,28 +103,57 @@ class Loops:
         """Responses (n_joints, n_omega) from motor angles to minus voltages."""
         return np.stack([each.response(self.z) for each in gains])
 
-    def judge(
-        self, controllers: ComplexArray, chosen: IntArray | None = None
-    ) -> list[tuple[Margins, LoopBand]]:
-        """Margins and band of every joint's loop over all or some plants, the other loops closed.
+    def judge(self, controllers: ComplexArray) -> list[tuple[Margins, LoopBand]]:
+        """Margins and band of every joint's loop over all plants, the other loops closed.
 
         `controllers` are those of the method of that name.
         """
-        plants = np.arange(len(self.plants)) if chosen is None else chosen
-        n_entries = len(plants) * len(self.omega) * self.plants.n_joints**2
-        n_parts = -(-n_entries // _ENTRIES)
-
-        def judge_part(part: IntArray) -> list[tuple[Margins, LoopBand]]:
-            # bands begin with the estimates
-            loops = self.open_loops(self.responses.symmetric(np.append(0, part)), controllers)
-            return [
-                (margins_of(each[1:], self.omega), LoopBand.of(each, self.omega)) for each in loops
-            ]
-
-        parts = run_parallel([partial(judge_part, p) for p in np.array_split(plants, n_parts)])
-        margins_and_bands = (zip(*pairs, strict=True) for pairs in zip(*parts, strict=True))
+        omega, every = self.omega, np.arange(len(self.plants))
         bands = ("gain_db", "phase_deg", "distance")
-        return [(join(m), join(b, "frequency_hz", bands)) for m, b in margins_and_bands]
+        return [
+            (join([m for m, _ in parts]), join([b for _, b in parts], "frequency_hz", bands))
+            for parts in self._map(
+                lambda loop: (margins_of(loop[1:], omega), LoopBand.of(loop, omega)),
+                controllers,
+                every,
+            )
+        ]
+
+    def margins(self, controllers: ComplexArray, chosen: IntArray) -> list[Margins]:
+        """Margins of every joint's loop over some plants, the other loops closed."""
+        of_parts = self._map(lambda loop: margins_of(loop[1:], self.omega), controllers, chosen)
+        return [join(parts) for parts in of_parts]
+
+    def _map(
+        self,
+        function: Callable[[ComplexArray], Result],
+        controllers: ComplexArray,
+        chosen: IntArray,
+    ) -> list[tuple[Result, ...]]:
+        """Results of a function of each joint's loops (1 + n_part, n_omega), for parts of plants.
+
+        The loops begin with that of the estimates.
+        """
+        n_entries = len(chosen) * self.responses.n_entries
+        parts = np.array_split(chosen, -(-n_entries // _ENTRIES))
+
+        def results_of(part: IntArray) -> list[Result]:
+            symmetric = self.responses.symmetric(np.append(0, part))
+            return [function(loop) for loop in self.open_loops(symmetric, controllers)]
+
+        return list(zip(*run_parallel([partial(results_of, part) for part in parts]), strict=True))
+
+    def worst(self, controllers: ComplexArray, required: Requirements) -> dict[JointIndex, int]:
+        """Plants with the smallest margins of joints that lack some: empty does not prove any.
+
+        All plants are compared at some frequencies, and the worst of them at all frequencies.
+        """
+        some = replace(self, responses=self.responses.thinned(_SCREENED))
+        screened = some.margins(controllers[:, ::_SCREENED], np.arange(len(self.plants)))
+        worst = [np.argsort(each.share(required))[:_N_SCREENED] for each in screened]
+        chosen = np.unique(np.concatenate(worst))
+        shares = [each.share(required) for each in self.margins(controllers, chosen)]
+        return {i: int(chosen[np.argmin(s)]) for i, s in enumerate(shares) if s.min() < 1.0}
 
     def open_loops(self, symmetric: ComplexArray, controllers: ComplexArray) -> ComplexArray:
         """Loops (n_joints, n_plants, n_omega) of plants, the other loops closed."""
@@ -154,15 +191,19 @@ def tune_cascades(
     for _ in range(_MAX_ADDED + 1):
         if failed := [i for i, tuner in enumerate(tuners) if not tuner.bandwidth]:
             break
-        judged = loops.judge(loops.controllers(gains))
-        failed = [i for i, (each, _) in enumerate(judged) if each.share(required).min() < 1.0]
-        if not failed:
+        controllers = loops.controllers(gains)
+        worst = loops.worst(controllers, required)
+        if not worst:
+            judged = loops.judge(controllers)
+            shares = [each.share(required) for each, _ in judged]
+            worst = {i: int(np.argmin(s)) for i, s in enumerate(shares) if s.min() < 1.0}
+        if not worst:
             return [(gains[i], tuner.limit) for i, tuner in enumerate(tuners)], judged
-        worst = [int(np.argmin(judged[i][0].share(required))) for i in failed]
-        search = np.union1d(search, worst)
-        for i in failed:
+        search = np.union1d(search, list(worst.values()))
+        for i in worst:
             gains[i] = tuners[i].raise_gains(gains, search)
-    joint, inertia = failed[0] + 1, plants.rigid_inertias()[:, failed[0]]
+    first = min(failed or worst)
+    joint, inertia = first + 1, plants.rigid_inertias()[:, first]
     raise InvalidInput(
         f"no gains of joint {joint} stabilise all plants with a gain margin of "
         f"{required.gain_db:g} dB, a phase margin of {required.phase_deg:g} degrees and a modulus "
@@ -213,17 +254,29 @@ class _Tuner:
             return bool(margins.share(self.required).min() >= 1.0)
 
         def keeps(candidate: Gains) -> bool:  # its margins, and all plants are stable
-            return has_margins(candidate) and bool(closed(candidate).are_stable(1.0).all())
+            return has_margins(candidate) and closed(candidate).all_stable()
 
         best, self.bandwidth, self.limit = gains[joint], 0.0, "margins"
         encoder = self.max_kp / self.inertia
+        highest = min(encoder, 0.5 * loops.clock.nyquist)
+        ratios = accumulate(repeat(_COARSE_STEP), mul, initial=_LOWEST_BANDWIDTH)
+        trials = list(takewhile(lambda each: each <= highest, ratios))
         for make in self._filters(search):
-            # poles take longer than margins, which hold in few unstable loops
-            reached = self._largest_bandwidth(has_margins, make, encoder)
-            if reached and not keeps(self.gains(reached, make(reached))):
-                reached = self._largest_bandwidth(keeps, make, encoder)
-            if reached > self.bandwidth * (_MIN_GAIN if self.bandwidth else 1.0):
-                self.bandwidth, best = reached, self.gains(reached, make(reached))
+
+            def at(bandwidth: float, make: FilterMaker = make) -> Gains:
+                return self.gains(bandwidth, make(bandwidth))
+
+            needed = self.bandwidth * _MIN_GAIN  # which few filters reach
+            slower = [each for each in trials if each <= needed]
+            is_kept = not slower or has_margins(at(slower[-1]))
+            if not is_kept and any(keeps(at(each)) for each in slower[-2::-1]):
+                continue
+            # stability takes longer than margins, which hold in few unstable loops
+            reached = _largest(lambda each: has_margins(at(each)), trials, highest)
+            if reached and not keeps(at(reached)):
+                reached = _largest(lambda each: keeps(at(each)), trials, highest)
+            if reached > needed:
+                self.bandwidth, best = reached, at(reached)
                 self.limit = "encoder" if reached * _COARSE_STEP**0.25 > encoder else "margins"
         if not self.bandwidth:
             return best
@@ -235,27 +288,6 @@ class _Tuner:
                 if steps.overshoot.max() <= _MAX_OVERSHOOT:
                     break
         return candidate
-
-    def _largest_bandwidth(
-        self, keeps: Callable[[Gains], bool], make: FilterMaker, encoder: float
-    ) -> float:
-        """The largest bandwidth [rad/s] with margins, at most that of the encoder; zero: none.
-
-        Arms that stand upright need some gain to be stable.
-        """
-        highest = min(encoder, 0.5 * self.loops.clock.nyquist)
-        reached, bandwidth = 0.0, _LOWEST_BANDWIDTH
-        while bandwidth <= highest and (not reached or bandwidth < _COARSE_STEP * reached * 1.001):
-            if keeps(self.gains(bandwidth, make(bandwidth))):
-                reached = bandwidth
-            bandwidth *= _COARSE_STEP
-        step = float(np.sqrt(_COARSE_STEP))
-        while reached and step > _FINE_STEP:
-            bandwidth = reached * step
-            if bandwidth <= highest and keeps(self.gains(bandwidth, make(bandwidth))):
-                reached = bandwidth
-            step = float(np.sqrt(step))
-        return reached
 
     def _filters(self, search: IntArray) -> Iterator[FilterMaker]:
         """No filter, a low-pass, and a notch over the spread of each resonance."""
@@ -277,3 +309,21 @@ class _Tuner:
                     partial(notch_of, frequency_hz, max(width, high / low - 1.0))
                     for width in _NOTCH_WIDTHS
                 )
+
+
+def _largest(keeps: Callable[[float], bool], trials: Sequence[float], highest: float) -> float:
+    """The largest bandwidth [rad/s] that keeps the margins, refined up to the highest; zero: none.
+
+    It follows the first trials that keep them: arms that stand upright need some gain to be stable.
+    """
+    reached, step = 0.0, float(np.sqrt(_COARSE_STEP))
+    for bandwidth in trials:
+        if keeps(bandwidth):
+            reached = bandwidth
+        elif reached:
+            break
+    while reached and step > _FINE_STEP:
+        if reached * step <= highest and keeps(reached * step):
+            reached *= step
+        step = float(np.sqrt(step))
+    return reached

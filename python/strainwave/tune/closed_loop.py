@@ -28,6 +28,7 @@ _LOWEST_HZ = 0.05
 _PART = 100  # plants
 _MAX_SQUARINGS = 26  # of a loop whose slowest pole is at the largest stable one
 _SMALL_POWER = 1e-2  # norm of a power of a stable loop, beyond rounding
+_LARGE_POWER = 1e6  # norm beyond which powers have no accuracy
 
 POLE_TOLERANCE = 1e-6
 """Rounding of the pole at one of a servo without a position loop."""
@@ -189,6 +190,16 @@ class SampledResponses:
         sums, inertias = PoleSums.of(plants, omega), plants.motor_inertias()
         return cls(sums, omega, own, free / own, inertias)
 
+    @property
+    def n_entries(self) -> int:
+        """Entries of S of one plant."""
+        return self.sums.residues.shape[1] * len(self.omega)
+
+    def thinned(self, step: int) -> SampledResponses:
+        """The responses at every `step`-th frequency."""
+        drive, aliases = self.drive[:, ::step], self.aliases[:, ::step]
+        return replace(self, omega=self.omega[::step], drive=drive, aliases=aliases)
+
     def symmetric(self, chosen: IntArray) -> ComplexArray:
         """S of pairs of joints for some plants: (n_chosen, n_pairs, n_omega)."""
         responses = self.sums.responses(self.omega, chosen)
@@ -253,7 +264,8 @@ def _discretised(plants: Plants, clock: Clock) -> tuple[FloatArray, FloatArray]:
     after = expm(system * (clock.period - clock.delay))
     A, B = after[:, :n_states, :n_states], after[:, :n_states, n_states:]
     if clock.delay:
-        before = expm(system * clock.delay)
+        is_half = clock.delay == clock.period - clock.delay
+        before = after if is_half else expm(system * clock.delay)
         old = A @ before[:, :n_states, n_states:]
         below = np.zeros((count, n, n_states + n))
         units = np.broadcast_to(np.eye(n), (count, n, n))
@@ -276,24 +288,33 @@ class ClosedLoop:
         return np.asarray(np.linalg.eigvals(self.A))
 
     def are_stable(self, limit: float = 1.0 + POLE_TOLERANCE) -> BoolArray:
-        """Whether all poles of plants (n_plants,) are smaller than a limit.
-
-        The poles of a matrix are, if a power of it is smaller than one. Powers by squaring take a
-        fifth of the time of the poles, which are computed where no power is small.
-        """
-        _, (scale, _) = matrix_balance(self.A[0], permute=False, separate=True)
-        power, unknown = self.A * (scale / scale[:, None] / limit), np.arange(len(self.A))
-        stable = np.zeros(len(self.A), dtype=bool)
-        with np.errstate(over="ignore", invalid="ignore"):  # unstable loops diverge
-            for _ in range(_MAX_SQUARINGS):
-                power = power @ power
-                norm = np.abs(power).sum(axis=2).max(axis=1)
-                stable[unknown[norm < _SMALL_POWER]] = True
-                is_open = (norm >= _SMALL_POWER) & (norm < 1.0 / _SMALL_POWER**2)
-                power, unknown = power[is_open], unknown[is_open]
+        """Whether all poles of plants (n_plants,) are smaller than a limit."""
+        stable = self._have_small_powers(limit)
         others = np.flatnonzero(~stable)
         stable[others] = np.abs(np.linalg.eigvals(self.A[others])).max(axis=1) < limit
         return stable
+
+    def all_stable(self) -> bool:
+        """Whether all plants are stable, without the poles of plants after an unstable one."""
+        others = self.A[~self._have_small_powers(1.0)]
+        return all(np.abs(np.linalg.eigvals(each)).max() < 1.0 for each in others)
+
+    def _have_small_powers(self, limit: float) -> BoolArray:
+        """Whether a power of A over a limit of the poles is smaller than one: (n_plants,).
+
+        All poles are then smaller than the limit. Powers by squaring take a fifth of the time of
+        the poles.
+        """
+        _, (scale, _) = matrix_balance(self.A[0], permute=False, separate=True)
+        power, unknown = self.A * (scale / scale[:, None] / limit), np.arange(len(self.A))
+        is_small = np.zeros(len(self.A), dtype=bool)
+        for _ in range(_MAX_SQUARINGS):
+            power = power @ power
+            norm = np.abs(power).sum(axis=2).max(axis=1)
+            is_small[unknown[norm < _SMALL_POWER]] = True
+            is_open = (norm >= _SMALL_POWER) & (norm < _LARGE_POWER)
+            power, unknown = power[is_open], unknown[is_open]
+        return is_small
 
     def pulse_responses(self, inputs: Sequence[int], n_samples: int) -> FloatArray:
         """Link angles (n_joints, n_plants, n_samples) after a pulse of each joint's reference.

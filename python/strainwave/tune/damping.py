@@ -82,7 +82,7 @@ def design_damping(
         return search.unused(reason, without)
     order = [np.argsort(plain)[:_N_LEAST]]
     order += [np.argsort(each.share(required))[:_N_MARGINS] for each in margins]
-    return search.best(without, np.unique(np.concatenate(order)))
+    return search.best(plain, np.unique(np.concatenate(order)))
 
 
 def damped_law(plain: ControlLaw, observer: Observer, gains: Pair) -> ControlLaw:
@@ -128,26 +128,34 @@ class _GainSearch:
         same = (0.0, 0.0), reason, without, without, None
         return tuple(Damping(one.joint, *same, self.plain[one.joint - 1]) for one in self.observers)
 
-    def best(self, without: Pair, chosen: IntArray) -> tuple[Damping, ...]:
-        """The results with the best gains; `chosen` are the first plants of the search."""
+    def best(self, plain: FloatArray, chosen: IntArray) -> tuple[Damping, ...]:
+        """The results with the best gains; `chosen` are the first plants of the search.
+
+        `plain` (n_plants,) are the damping ratios without the feedback.
+        """
+        without = _least_and_median(plain)
         every, reason = np.arange(len(self.loops.plants)), ""
+        ratios_of = {self._no_feedback: plain}  # of all plants, by gains
         for _ in range(_MAX_ROUNDS):
-            pairs = self._climb(chosen)
-            laws = self.laws(pairs)
-            reached = _least_and_median(ratios := self.dampings(every, laws))
+            laws = self.laws(pairs := self._climb(chosen))
+            if pairs not in ratios_of:
+                ratios_of[pairs] = self.dampings(every, laws)
+            reached, searched = _least_and_median(ratios_of[pairs]), chosen
             if reached[0] < MIN_RATIO * without[0]:
                 reason = (
                     f"it changes the least damping ratio of all plants from {without[0]:.3g} to "
                     f"{reached[0]:.3g} only"
                 )
-                chosen = np.union1d(chosen, np.argsort(ratios)[:_N_LEAST])
-                continue
-            margins = self.margins(every, laws)
-            shares = np.min([each.share(self.required) for each in margins], axis=0)
-            if shares.min() >= 1.0:
-                break
-            reason = "not all plants keep their margins with it"
-            chosen = np.union1d(chosen, np.argsort(shares)[:_N_MARGINS])
+                chosen = np.union1d(chosen, np.argsort(ratios_of[pairs])[:_N_LEAST])
+            else:
+                margins = self.margins(every, laws)
+                shares = np.min([each.share(self.required) for each in margins], axis=0)
+                if shares.min() >= 1.0:
+                    break
+                reason = "not all plants keep their margins with it"
+                chosen = np.union1d(chosen, np.argsort(shares)[:_N_MARGINS])
+            if len(chosen) == len(searched):  # the next search would end in the same gains
+                return self.unused(reason, without)
         else:
             return self.unused(reason, without)
         results = []
@@ -158,7 +166,11 @@ class _GainSearch:
             results.append(Damping(one.joint, gains, reason, without, reached, own, laws[i]))
         return tuple(results)
 
-    def _climb(self, chosen: IntArray) -> list[Pair]:
+    @property
+    def _no_feedback(self) -> tuple[Pair, ...]:
+        return ((0.0, 0.0),) * len(self.observers)
+
+    def _climb(self, chosen: IntArray) -> tuple[Pair, ...]:
         """Gains of all joints with the largest objective over some plants, joint by joint."""
 
         def objective_of(laws: Sequence[ControlLaw]) -> float:
@@ -172,11 +184,11 @@ class _GainSearch:
             margins = (margins_of(each, omega) for each in loops)
             return all(each.share(self.required).min() >= 1.0 for each in margins)
 
-        pairs: list[Pair] = [(0.0, 0.0)] * len(self.observers)
+        pairs = self._no_feedback
         largest = objective_of(self.plain)
         for k in range(len(self.observers)):
             for pair in product(_TORSION_GAINS, _RATE_GAINS):
-                trial = [*pairs[:k], pair, *pairs[k + 1 :]]
+                trial = (*pairs[:k], pair, *pairs[k + 1 :])
                 laws = self.laws(trial)
                 if (objective := objective_of(laws)) <= largest:
                     continue
@@ -208,7 +220,7 @@ class _GainSearch:
 
     def margins(self, chosen: IntArray, laws: Sequence[ControlLaw]) -> list[Margins]:
         """Margins of the loops of all joints."""
-        return [margins for margins, _ in self.loops.judge(self.feedbacks(laws), chosen)]
+        return self.loops.margins(self.feedbacks(laws), chosen)
 
     def feedbacks(self, laws: Sequence[ControlLaw]) -> ComplexArray:
         """Responses (n_joints, n_omega) from motor angles to minus voltages."""

@@ -9,7 +9,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from strainwave.domain import BoolArray, ComplexArray, FloatArray, IntArray
+from strainwave.domain import ComplexArray, FloatArray, IntArray
 
 Record = TypeVar("Record")
 
