@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import product
 
 import numpy as np
@@ -136,6 +136,7 @@ def design_servo(
     _check_options(options)
     arm = arm.with_identified_drives()
     _check_parameters(arm)
+    arm = replace(arm, completion=arm.values)  # which are used often, completed once
     conditions = _conditions(arm, options)
     clock, limits = _drives(arm, options)
     noise = noise or IdentifiedNoise()
