@@ -12,12 +12,10 @@ from dataclasses import dataclass, replace
 from functools import partial
 from itertools import accumulate, repeat, takewhile
 from operator import mul
-from typing import TypeVar
 
 import numpy as np
 
 from strainwave.domain import ComplexArray, FloatArray, IntArray
-from strainwave.domain.keys import JointIndex
 from strainwave.errors import InvalidInput
 from strainwave.numerics.parallel import run_parallel
 from strainwave.tune.closed_loop import (
@@ -62,10 +60,7 @@ _N_SEARCH_DRAWS = 8
 _N_SWEEPS = 2  # over the joints; a third changes gains by less than a step
 _MAX_ADDED = 12  # rounds in which the worst plants join the search
 _ENTRIES = 400_000  # of responses that one thread judges at a time: 20 MB
-_SCREENED = 4  # every such frequency is compared over all plants
-_N_SCREENED = 20  # plants of each joint that are then compared at all frequencies
-
-Result = TypeVar("Result")
+_N_CLOSED = 10  # plants whose loops are closed at a time: unstable ones often are for the first
 
 FilterMaker = Callable[[float], tuple[Biquad, ...]]
 """Filters of a loop by its bandwidth [rad/s]."""
@@ -108,52 +103,20 @@ class Loops:
 
         `controllers` are those of the method of that name.
         """
-        omega, every = self.omega, np.arange(len(self.plants))
+        n_parts = -(-len(self.plants) * self.responses.n_entries // _ENTRIES)
+
+        def judge_part(part: IntArray) -> list[tuple[Margins, LoopBand]]:
+            # bands begin with the estimates
+            loops = self.open_loops(self.responses.symmetric(np.append(0, part)), controllers)
+            return [
+                (margins_of(each[1:], self.omega), LoopBand.of(each, self.omega)) for each in loops
+            ]
+
+        places = np.array_split(np.arange(len(self.plants)), n_parts)
+        parts = run_parallel([partial(judge_part, part) for part in places])
+        margins_and_bands = (zip(*pairs, strict=True) for pairs in zip(*parts, strict=True))
         bands = ("gain_db", "phase_deg", "distance")
-        return [
-            (join([m for m, _ in parts]), join([b for _, b in parts], "frequency_hz", bands))
-            for parts in self._map(
-                lambda loop: (margins_of(loop[1:], omega), LoopBand.of(loop, omega)),
-                controllers,
-                every,
-            )
-        ]
-
-    def margins(self, controllers: ComplexArray, chosen: IntArray) -> list[Margins]:
-        """Margins of every joint's loop over some plants, the other loops closed."""
-        of_parts = self._map(lambda loop: margins_of(loop[1:], self.omega), controllers, chosen)
-        return [join(parts) for parts in of_parts]
-
-    def _map(
-        self,
-        function: Callable[[ComplexArray], Result],
-        controllers: ComplexArray,
-        chosen: IntArray,
-    ) -> list[tuple[Result, ...]]:
-        """Results of a function of each joint's loops (1 + n_part, n_omega), for parts of plants.
-
-        The loops begin with that of the estimates.
-        """
-        n_entries = len(chosen) * self.responses.n_entries
-        parts = np.array_split(chosen, -(-n_entries // _ENTRIES))
-
-        def results_of(part: IntArray) -> list[Result]:
-            symmetric = self.responses.symmetric(np.append(0, part))
-            return [function(loop) for loop in self.open_loops(symmetric, controllers)]
-
-        return list(zip(*run_parallel([partial(results_of, part) for part in parts]), strict=True))
-
-    def worst(self, controllers: ComplexArray, required: Requirements) -> dict[JointIndex, int]:
-        """Plants with the smallest margins of joints that lack some: empty does not prove any.
-
-        All plants are compared at some frequencies, and the worst of them at all frequencies.
-        """
-        some = replace(self, responses=self.responses.thinned(_SCREENED))
-        screened = some.margins(controllers[:, ::_SCREENED], np.arange(len(self.plants)))
-        worst = [np.argsort(each.share(required))[:_N_SCREENED] for each in screened]
-        chosen = np.unique(np.concatenate(worst))
-        shares = [each.share(required) for each in self.margins(controllers, chosen)]
-        return {i: int(chosen[np.argmin(s)]) for i, s in enumerate(shares) if s.min() < 1.0}
+        return [(join(m), join(b, "frequency_hz", bands)) for m, b in margins_and_bands]
 
     def open_loops(self, symmetric: ComplexArray, controllers: ComplexArray) -> ComplexArray:
         """Loops (n_joints, n_plants, n_omega) of plants, the other loops closed."""
@@ -191,19 +154,15 @@ def tune_cascades(
     for _ in range(_MAX_ADDED + 1):
         if failed := [i for i, tuner in enumerate(tuners) if not tuner.bandwidth]:
             break
-        controllers = loops.controllers(gains)
-        worst = loops.worst(controllers, required)
-        if not worst:
-            judged = loops.judge(controllers)
-            shares = [each.share(required) for each, _ in judged]
-            worst = {i: int(np.argmin(s)) for i, s in enumerate(shares) if s.min() < 1.0}
-        if not worst:
+        judged = loops.judge(loops.controllers(gains))
+        failed = [i for i, (each, _) in enumerate(judged) if each.share(required).min() < 1.0]
+        if not failed:
             return [(gains[i], tuner.limit) for i, tuner in enumerate(tuners)], judged
-        search = np.union1d(search, list(worst.values()))
-        for i in worst:
+        worst = [int(np.argmin(judged[i][0].share(required))) for i in failed]
+        search = np.union1d(search, worst)
+        for i in failed:
             gains[i] = tuners[i].raise_gains(gains, search)
-    first = min(failed or worst)
-    joint, inertia = first + 1, plants.rigid_inertias()[:, first]
+    joint, inertia = failed[0] + 1, plants.rigid_inertias()[:, failed[0]]
     raise InvalidInput(
         f"no gains of joint {joint} stabilise all plants with a gain margin of "
         f"{required.gain_db:g} dB, a phase margin of {required.phase_deg:g} degrees and a modulus "
@@ -242,19 +201,30 @@ class _Tuner:
         """The largest gains at which the searched plants keep their margins."""
         loops, joint = self.loops, self.joint
         controllers = loops.controllers(gains)
-        symmetric, sampled = loops.responses.symmetric(search), loops.sampled.part(search)
-        plant = loops.open_loops(symmetric, controllers)[joint] / controllers[joint]
+        every_loop = loops.open_loops(loops.responses.symmetric(search), controllers)
+        plant = every_loop[joint] / controllers[joint]
+        sampled = [
+            loops.sampled.part(part)
+            for part in np.array_split(search, -(-len(search) // _N_CLOSED))
+        ]
         laws = [each.law() for each in gains]
 
-        def closed(candidate: Gains) -> ClosedLoop:
-            return close(sampled, [*laws[:joint], candidate.law(), *laws[joint + 1 :]], (joint,))
+        def closed(candidate: Gains) -> Iterator[ClosedLoop]:
+            trial = [*laws[:joint], candidate.law(), *laws[joint + 1 :]]
+            return (close(part, trial, (joint,)) for part in sampled)
 
         def has_margins(candidate: Gains) -> bool:
             margins = margins_of(plant * candidate.response(loops.z), loops.omega)
             return bool(margins.share(self.required).min() >= 1.0)
 
         def keeps(candidate: Gains) -> bool:  # its margins, and all plants are stable
-            return has_margins(candidate) and closed(candidate).all_stable()
+            return has_margins(candidate) and all(
+                loop.are_stable(1.0).all() for loop in closed(candidate)
+            )
+
+        def overshoot(candidate: Gains) -> float:
+            steps = (Steps.of(loop, [candidate])[0] for loop in closed(candidate))
+            return max(float(each.overshoot.max()) for each in steps)
 
         best, self.bandwidth, self.limit = gains[joint], 0.0, "margins"
         encoder = self.max_kp / self.inertia
@@ -283,10 +253,8 @@ class _Tuner:
         # the largest position gain with margins and little overshoot of the link
         for ratio in _POSITION_RATIOS:
             candidate = replace(best, position_gain=self.bandwidth / ratio)
-            if keeps(candidate):
-                (steps,) = Steps.of(closed(candidate), [candidate])
-                if steps.overshoot.max() <= _MAX_OVERSHOOT:
-                    break
+            if keeps(candidate) and overshoot(candidate) <= _MAX_OVERSHOOT:
+                break
         return candidate
 
     def _filters(self, search: IntArray) -> Iterator[FilterMaker]:

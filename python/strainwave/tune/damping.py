@@ -148,7 +148,7 @@ class _GainSearch:
                 )
                 chosen = np.union1d(chosen, np.argsort(ratios_of[pairs])[:_N_LEAST])
             else:
-                margins = self.margins(every, laws)
+                margins = [each for each, _ in self.loops.judge(self.feedbacks(laws))]
                 shares = np.min([each.share(self.required) for each in margins], axis=0)
                 if shares.min() >= 1.0:
                     break
@@ -217,10 +217,6 @@ class _GainSearch:
             return np.where(largest < 1.0 + POLE_TOLERANCE, ratios, -1.0)
 
         return np.concatenate(self.loops.sampled.part(chosen).map(of_part))
-
-    def margins(self, chosen: IntArray, laws: Sequence[ControlLaw]) -> list[Margins]:
-        """Margins of the loops of all joints."""
-        return self.loops.margins(self.feedbacks(laws), chosen)
 
     def feedbacks(self, laws: Sequence[ControlLaw]) -> ComplexArray:
         """Responses (n_joints, n_omega) from motor angles to minus voltages."""

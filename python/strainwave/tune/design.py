@@ -150,23 +150,22 @@ def design_servo(
     tuned, judged = tune_cascades(loops, options.required, resolutions=resolutions, limits=limits)
     progress("simulating steps")
     gains, servo, current = [each for each, _ in tuned], arm.study.arm.servo, None
-    sampled = loops.sampled
     if servo is not None:
         of_joints = servo.kp, servo.ki, servo.position_gain or (0.0,) * len(servo.kp)
         current = [Gains(*each, clock.period) for each in zip(*of_joints, strict=True)]
-    results = _results(judged, sampled, gains)
+    results = _results(judged, loops.sampled, gains)
     if options.bandwidth_hz is not None:
         _check_bandwidth([limit for _, limit in tuned], results, options.bandwidth_hz, clock)
-    if unstable := _count_unstable(sampled, gains):
+    if unstable := _count_unstable(loops.sampled, gains):
         raise InvalidInput(
             f"the loops together leave {unstable} of {len(plants)} plants unstable",
             where="the servo design",
             remedy="require larger margins or fewer payloads, or shorten period and delay",
         )
-    n_unstable = _count_unstable(sampled, current) if current else 0
+    n_unstable = _count_unstable(loops.sampled, current) if current else 0
     of_current: Sequence[LoopResults | None] = [None] * len(tuned)
     if current and not n_unstable:
-        of_current = _results(loops.judge(loops.controllers(current)), sampled, current)
+        of_current = _results(loops.judge(loops.controllers(current)), loops.sampled, current)
     progress("ranking shapers")
     modes, shapers = _shapers(plants, clock)
     progress("designing observers")
@@ -211,7 +210,7 @@ def design_servo(
             (
                 share
                 for share in _FIRST_SHARES  # arms that stand upright need gain
-                if not _count_unstable(sampled, [each.slowed(share) for each in gains])
+                if not _count_unstable(loops.sampled, [each.slowed(share) for each in gains])
             ),
             1.0,
         ),

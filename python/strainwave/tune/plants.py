@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import product
 
 import numpy as np
@@ -23,8 +24,10 @@ from strainwave.dynamics.arm import Arm
 from strainwave.errors import NotIdentifiable
 from strainwave.export.linear_models import coordinates_of
 from strainwave.export.source import IdentifiedArm
+from strainwave.numerics.parallel import run_parallel
 
 _GRAVITY_STEP = 1e-3  # [rad] of central differences; gravity is smooth
+_PART = 100  # plants
 _N_PROBED = 8  # frequencies at which sums over poles are compared with solutions
 _MAX_ROUNDING = 1e-9  # of responses
 _RIGID_SHARE = 1e-3  # of the highest frequency, below which a mode has no torsion
@@ -127,19 +130,10 @@ class PoleSums:
     @classmethod
     def of(cls, plants: Plants, omega: FloatArray) -> PoleSums:
         """The sums, compared with solutions at some of the frequencies [rad/s]."""
-        system, by_torque = plants.equations()
-        poles, modes = np.linalg.eig(system)
-        first, second = np.triu_indices(plants.n_joints)
-        with np.errstate(over="ignore", invalid="ignore"):  # of nearly equal poles
-            excited = np.swapaxes(np.linalg.solve(modes, by_torque), 1, 2)
-            angles = plants.motors @ modes[:, : plants.mass.shape[1]]
-            residues = angles[:, first] * excited[:, second]
-            sums = cls(plants, poles, residues, np.ones(len(plants), dtype=bool))
-            probed = omega[:: -(-len(omega) // _N_PROBED)]
-            every, solved = np.arange(len(plants)), _solved_responses(plants, probed)
-            error = np.abs(sums.responses(probed, every) - solved).max(axis=1)
-        accuracy = _MAX_ROUNDING * np.abs(solved).max(axis=1)
-        return replace(sums, is_accurate=(error <= accuracy).all(axis=1))  # false for NaN
+        probed = omega[:: -(-len(omega) // _N_PROBED)]
+        places = np.array_split(np.arange(len(plants)), -(-len(plants) // _PART))
+        parts = run_parallel([partial(_pole_sums, plants.part(each), probed) for each in places])
+        return cls(plants, *(np.concatenate(each) for each in zip(*parts, strict=True)))
 
     def responses(self, omega: FloatArray, chosen: IntArray) -> ComplexArray:
         """Responses (n_chosen, n_pairs, n_omega) at frequencies [rad/s]."""
@@ -147,6 +141,22 @@ class PoleSums:
         if len(others := np.flatnonzero(~self.is_accurate[chosen])):
             response[others] = _solved_responses(self.plants.part(chosen[others]), omega)
         return np.asarray(response)
+
+
+def _pole_sums(plants: Plants, probed: FloatArray) -> tuple[ComplexArray, ComplexArray, BoolArray]:
+    """Poles, residues and accuracy of `PoleSums`."""
+    system, by_torque = plants.equations()
+    poles, modes = np.linalg.eig(system)
+    first, second = np.triu_indices(plants.n_joints)
+    with np.errstate(over="ignore", invalid="ignore"):  # of nearly equal poles
+        excited = np.swapaxes(np.linalg.solve(modes, by_torque), 1, 2)
+        angles = plants.motors @ modes[:, : plants.mass.shape[1]]
+        residues = angles[:, first] * excited[:, second]
+        sums = residues @ (1.0 / (1j * probed - poles[:, :, None]))
+        solved = _solved_responses(plants, probed)
+        error = np.abs(sums - solved).max(axis=1)
+    accuracy = _MAX_ROUNDING * np.abs(solved).max(axis=1)
+    return poles, residues, (error <= accuracy).all(axis=1)  # false for one that is not a number
 
 
 def _solved_responses(plants: Plants, omega: FloatArray) -> ComplexArray:
