@@ -59,7 +59,7 @@ _MAX_OVERSHOOT = 0.05  # of the link after a step of the position
 _N_SEARCH_DRAWS = 8
 _N_SWEEPS = 2  # over the joints; a third changes gains by less than a step
 _MAX_ADDED = 12  # rounds in which the worst plants join the search
-_ENTRIES = 400_000  # of responses that one thread judges at a time: 20 MB
+_ENTRIES = 200_000  # of responses that one thread judges at a time: 20 MB
 _N_CLOSED = 10  # plants whose loops are closed at a time: unstable ones often are for the first
 
 FilterMaker = Callable[[float], tuple[Biquad, ...]]

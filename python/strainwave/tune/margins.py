@@ -128,8 +128,8 @@ def open_loops(responses: ComplexArray, factors: ComplexArray) -> ComplexArray:
 
         L_i = 1 / [(1 + g S g)^-1]_ii - 1,   g = diag(sqrt(f))
 
-    The inverse is that of Dempster's sweep, for all plants and frequencies at a time: 6 x 6 systems
-    take a tenth of the time of one factorisation each.
+    The inverse is that of Dempster's sweep, for all plants and frequencies at a time: it takes half
+    of the time of a solution for each of them.
     """
     n, roots = len(factors), np.sqrt(factors)
     a: list[dict[int, ComplexArray]] = [{} for _ in range(n)]

@@ -160,7 +160,7 @@ def _pole_sums(plants: Plants, probed: FloatArray) -> tuple[ComplexArray, Comple
 
 
 def _solved_responses(plants: Plants, omega: FloatArray) -> ComplexArray:
-    """Responses in the shape of `PoleSums.responses`, at ten times their cost."""
+    """Responses in the shape of `PoleSums.responses`, which takes longer than the sums."""
     s = 1j * omega[:, None, None]
     system = s**2 * plants.mass[:, None] + s * plants.damping[:, None] + plants.stiffness[:, None]
     inputs = np.broadcast_to(plants.motors.T, (*system.shape[:3], plants.n_joints))
