@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
+from itertools import combinations_with_replacement
 from typing import TypeVar
 
 import numpy as np
@@ -95,10 +96,10 @@ def margins_of(loop: ComplexArray, omega: FloatArray) -> Margins:
     # distance of the phase from -180 degrees where the gain is one; the highest such place
     size = np.abs(loop)
     rows, columns = _crossings(size - 1.0)
-    begin, end = loop[rows, columns], loop[rows, columns + 1]
-    share = _shares(*(np.log(np.maximum(np.abs(each), 1e-300)) for each in (begin, end)))
-    turn = np.angle(end / np.where(begin == 0.0, 1.0, begin))
-    wrapped = (np.angle(-begin) + share * turn + np.pi) % (2.0 * np.pi) - np.pi
+    before, after = loop[rows, columns], loop[rows, columns + 1]
+    share = _shares(*(np.log(np.maximum(np.abs(each), 1e-300)) for each in (before, after)))
+    turn = np.angle(after / np.where(before == 0.0, 1.0, before))
+    wrapped = (np.angle(-before) + share * turn + np.pi) % (2.0 * np.pi) - np.pi
     at_hz, bandwidth = hz_at(columns, share), np.zeros(len(loop))
     phase_deg, phase_hz = least(np.abs(np.degrees(wrapped)), rows, at_hz)
     bandwidth[rows] = at_hz  # the last of repeated rows is assigned
@@ -133,7 +134,7 @@ def open_loops(responses: ComplexArray, factors: ComplexArray) -> ComplexArray:
     """
     n, roots = len(factors), np.sqrt(factors)
     a: list[dict[int, ComplexArray]] = [{} for _ in range(n)]
-    for k, (i, j) in enumerate(zip(*np.triu_indices(n), strict=True)):
+    for k, (i, j) in enumerate(combinations_with_replacement(range(n), 2)):
         a[i][j] = a[j][i] = responses[:, k] * (roots[i] * roots[j]) + float(i == j)
     product = np.empty_like(a[0][0])
     for k in range(n):
