@@ -193,7 +193,7 @@ class SampledResponses:
     @property
     def n_entries(self) -> int:
         """Entries of S of one plant."""
-        return self.sums.residues.shape[1] * len(self.omega)
+        return int(self.sums.residues.shape[1]) * len(self.omega)
 
     def symmetric(self, chosen: IntArray) -> ComplexArray:
         """S of pairs of joints for some plants: (n_chosen, n_pairs, n_omega)."""
