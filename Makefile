@@ -52,13 +52,14 @@ ifndef SEED
 SEED := $(shell od -An -N4 -tu4 /dev/urandom | tr -d ' ')
 endif
 
-# One process of tests more than cores: some tests wait for processes that they start.
+# One process of tests more than cores: some tests wait for processes that they start. They keep what
+# Python compiles, or each of them, and each later run, compiles all tests again for 5 s.
 WORKERS = $(shell $(PYTHON) -c 'import os; print(min(os.cpu_count() or 1, 8) + 1)')
 
 test: develop
 	@echo 'cases drawn with SEED=$(SEED); again: make test SEED=$(SEED)'
 	PROPTEST_RNG_SEED=$(SEED) cargo test --release --workspace --exclude strainwave-python --locked --quiet
-	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -q -n $(WORKERS) --dist loadfile \
+	PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -q -n $(WORKERS) --dist loadfile \
 	  --hypothesis-profile=fresh --hypothesis-seed=$(SEED)
 
 # The same compiler for both processors, with a standard library for aarch64: packages of Debian,

@@ -5,12 +5,14 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import socket
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from threading import Thread
 from typing import TYPE_CHECKING, Any
 from urllib.request import Request
 
@@ -19,11 +21,13 @@ import pytest
 from strainwave.dynamics.simulation import SensorNoise
 from strainwave.virtual import scara
 from strainwave.virtual.experiments import simulate_study
-from workbench_client import make_client
+from workbench_client import TOKEN, make_client
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Browser, Page
+    from playwright.sync_api import BrowserContext, Page
+    from starlette.applications import Starlette
     from starlette.testclient import TestClient
+    from starlette.types import Receive, Scope, Send
 
 CHROMIUM = (
     shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
@@ -118,16 +122,63 @@ def server(folder: Path, start_server: Callable[[Path], Server]) -> Server:
     return start_server(folder)
 
 
+@dataclass
+class Site:
+    """An address at which each test serves its own folder."""
+
+    port: int
+    app: Starlette | None = None
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer a request."""
+        assert self.app is not None
+        await self.app(scope, receive, send)
+
+    @property
+    def url(self) -> str:
+        """Its address."""
+        return f"http://127.0.0.1:{self.port}"
+
+    def serve(self, folder: Path) -> None:
+        """Serve a folder from here on."""
+        from strainwave.workbench.app import create_app
+        from strainwave.workbench.options import ServerOptions
+
+        self.app = create_app(ServerOptions(folder, token=TOKEN), self.port)
+
+
 @pytest.fixture(scope="session")
-def browser() -> Iterator[Browser]:
-    """Debian's Chromium, without a window."""
+def site() -> Iterator[Site]:
+    """A server in a thread. A process for each test would import the package each time."""
+    uvicorn = pytest.importorskip("uvicorn")
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        site = Site(listener.getsockname()[1])
+        config = uvicorn.Config(
+            site, log_level="warning", lifespan="off", timeout_graceful_shutdown=1
+        )
+        server = uvicorn.Server(config)
+        thread = Thread(target=server.run, args=([listener],))
+        thread.start()
+        yield site
+        server.should_exit = True
+        thread.join()
+
+
+@pytest.fixture(scope="session")
+def context(tmp_path_factory: pytest.TempPathFactory) -> Iterator[BrowserContext]:
+    """Debian's Chromium without a window; its cache keeps the compiled plotting library."""
     if CHROMIUM is None:
         pytest.skip("Chromium is not installed")
     sync_api = pytest.importorskip("playwright.sync_api")
     with sync_api.sync_playwright() as playwright:
-        launched = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-        yield launched
-        launched.close()
+        window = playwright.chromium.launch_persistent_context(
+            tmp_path_factory.mktemp("chromium"),
+            executable_path=CHROMIUM,
+            args=["--no-sandbox"],
+            viewport={"width": 1280, "height": 900},
+        )
+        yield window
+        window.close()
 
 
 @dataclass
@@ -164,13 +215,15 @@ class Visit:
 
 
 @pytest.fixture
-def visit(server: Server, browser: Browser) -> Iterator[Visit]:
+def visit(folder: Path, site: Site, context: BrowserContext) -> Iterator[Visit]:
     """A page; the test fails for each console error, page error and request to outside."""
-    context = browser.new_context(viewport={"width": 1280, "height": 900}, bypass_csp=False)
+    site.serve(folder)
+    context.clear_cookies()
     page = context.new_page()
     page.set_default_timeout(60_000)
-    page.goto(f"{server.url}/?token={server.token}")
-    visited = Visit(page, server.url, server.folder)
+    page.goto(f"{site.url}/?token={TOKEN}")
+    page.evaluate("localStorage.clear()")
+    visited = Visit(page, site.url, folder)
     page.on(
         "console",
         lambda m: visited.faults.append(f"console: {m.text}") if m.type == "error" else None,
@@ -180,10 +233,10 @@ def visit(server: Server, browser: Browser) -> Iterator[Visit]:
         "request",
         lambda request: (
             None
-            if request.url.startswith((server.url, "data:", "blob:"))
+            if request.url.startswith((site.url, "data:", "blob:"))
             else visited.faults.append(f"request: {request.url}")
         ),
     )
     yield visited
-    context.close()
+    page.close()
     assert not visited.faults, visited.faults

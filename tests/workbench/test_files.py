@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import shutil
 import subprocess
 import sys
 import zipfile
@@ -16,6 +17,7 @@ pytest.importorskip("starlette")
 
 from strainwave.workbench.pages.runs import EXPORT_FILES, python_script
 from strainwave.workbench.run_record import Run
+from workbench_client import make_client
 from workbench_runs import add_run
 
 if TYPE_CHECKING:
@@ -24,13 +26,26 @@ if TYPE_CHECKING:
 STUDY = "arm/study.toml"
 
 
-@pytest.fixture
-def run(client: TestClient) -> dict[str, Any]:
-    """A finished run of the joint models with an option."""
+@pytest.fixture(scope="module")
+def finished(arm_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A served folder with a finished run of the joint models with an option."""
+    served = tmp_path_factory.mktemp("served")
+    shutil.copytree(arm_folder, served / "arm")
+    client = make_client(served)
     client.post(f"/api/check/{STUDY}", json={})
     body = {"name": "one", "stages": "rigid,decoupled", "options": {"links.order": "1"}}
-    client.post(f"/api/estimate/{STUDY}", json=body)
-    client.get(f"/api/run-events/{STUDY}", params={"name": "one"})  # ends with the run
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_RUNTIME_DIR", str(tmp_path_factory.mktemp("runtime")))
+        client.post(f"/api/estimate/{STUDY}", json=body)
+        client.get(f"/api/run-events/{STUDY}", params={"name": "one"})  # ends with the run
+    return served
+
+
+@pytest.fixture
+def run(finished: Path, folder: Path, client: TestClient) -> dict[str, Any]:
+    """A copy of the finished run in the folder of the client."""
+    shutil.rmtree(folder)
+    shutil.copytree(finished, folder)
     (shown,) = client.get(f"/api/files/{STUDY}").json()
     assert shown["state"] == "done"
     return dict(shown)

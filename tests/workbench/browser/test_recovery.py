@@ -8,16 +8,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Browser
+    from playwright.sync_api import BrowserContext
 
 
 def test_after_a_kill_the_study_and_finished_runs_are_there(
-    folder: Path, browser: Browser, start_server: Any
+    folder: Path, context: BrowserContext, start_server: Any
 ) -> None:
     from strainwave.workbench.runs import Runs
 
     server = start_server(folder)
-    page = browser.new_page()
+    page = context.new_page()
     page.goto(f"{server.url}/?token={server.token}")
     page.goto(f"{server.url}/check/arm/study.toml")
     page.click("#check")

@@ -15,6 +15,7 @@ PAGES += ["/help/signals", "/help/warnings"]
 
 def test_help_opens_and_closes_by_keyboard(visit: Any) -> None:
     page = visit.open("/signals/arm/study.toml")
+    page.wait_for_selector("#time[data-drawn]")
     page.focus("#record")
     page.keyboard.press("?")  # a menu takes letters: nothing opens
     assert not page.locator("dialog").count()
