@@ -73,7 +73,8 @@ def served(tmp_path_factory: pytest.TempPathFactory, arm_folder: Path) -> Iterat
     run_check(folder / STUDY)  # opens the gate before an estimate
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Runs, "_start", lambda _, run: run)
-        yield make_client(folder)
+        with make_client(folder) as client:  # one event loop for all requests
+            yield client
 
 
 def study_file(client: TestClient) -> Path:

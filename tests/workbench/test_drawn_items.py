@@ -24,10 +24,10 @@ SLOW = 5.0  # [s] of the processor for one answer on a loaded machine; a bomb ta
 def test_no_drawn_item_breaks_an_answer(tmp_path: Path) -> None:
     served = tmp_path / "served"
     items = draw_items(served, Foreign(tmp_path), len(set(KINDS)), SEED)
-    client = client_of(served)
-    client.get("/")  # loads the modules
     rng = np.random.default_rng(SEED)
-    faults = [each for item in items for each in faults_of(client, served, item, rng, SLOW)]
+    with client_of(served) as client:  # one event loop for all requests
+        client.get("/")  # loads the modules
+        faults = [each for item in items for each in faults_of(client, served, item, rng, SLOW)]
     assert faults == []
 
 
