@@ -105,12 +105,18 @@ def test_a_fit_starts_at_the_values(client: TestClient, begun: Any, folder: Path
     assert "--start start.json" in run["lines"][0]
 
 
+@pytest.fixture(scope="module")
+def rigid(arm_folder: Path) -> sw.Result:
+    """Result of the rigid stage only."""
+    return sw.identify(arm_folder / "study.toml", stages=("rigid",))
+
+
 @pytest.fixture
-def partial(folder: Path) -> dict[str, Any]:
-    """A result of the rigid stage only."""
+def partial(folder: Path, rigid: sw.Result) -> dict[str, Any]:
+    """The result of the rigid stage as a run of the study."""
     path = folder / "arm/runs/rigid/result.json"
     path.parent.mkdir(parents=True)
-    sw.identify(folder / STUDY, stages=("rigid",)).save(path)
+    rigid.save(path)
     document: dict[str, Any] = json.loads(path.read_bytes())
     return document
 

@@ -80,8 +80,10 @@ def runs_of_one_study(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     for name in ("a", "b"):
         run = runs.prepare(name)
         (run / "study.toml").write_text(snapshot(study))
-        monkeypatch.chdir(run)
-        sw.identify("study.toml", stages=("rigid",)).save("result.json")
+    monkeypatch.chdir(run)
+    result = sw.identify("study.toml", stages=("rigid",))
+    for name in ("a", "b"):
+        result.save(runs.path(name) / "result.json")
     return folder
 
 

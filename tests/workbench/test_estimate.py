@@ -93,7 +93,9 @@ def test_a_run_identifies_a_copy_of_the_study_that_can_be_repeated(
     assert copy.log_path(copy.experiments[0]).resolve().parent == (folder / "arm").resolve()
 
 
-def test_events_end_with_the_run(client: TestClient) -> None:
+def test_events_end_with_the_run_and_its_report_has_no_access_to_the_workbench(
+    client: TestClient,
+) -> None:
     client.post("/api/check/arm/study.toml", json={})
     client.post(API, json={"name": "one", "stages": "rigid", "options": {}})
     text = client.get("/api/run-events/arm/study.toml", params={"name": "one"}).text
@@ -102,12 +104,6 @@ def test_events_end_with_the_run(client: TestClient) -> None:
     fractions = [e["progress"]["fraction"] for e in events if e["progress"]]
     assert fractions == sorted(fractions)
     assert fractions[-1] > 0.5
-
-
-def test_a_report_is_shown_without_access_to_the_workbench(client: TestClient) -> None:
-    client.post("/api/check/arm/study.toml", json={})
-    client.post(API, json={"name": "one", "stages": "rigid", "options": {}})
-    finished(client, "one")
     answer = client.get("/report/arm/study.toml", params={"run": "one"})
     policy = answer.headers["content-security-policy"]
     assert "sandbox allow-scripts" in policy

@@ -29,9 +29,12 @@ def wait_for(runs: Runs, name: str, state: str) -> Run:
 
 
 def start_identify(folder: Path, name: str, *arguments: str) -> Runs:
+    return start(folder, name, "identify", "../../study.toml", "--out", ".", *arguments)
+
+
+def start(folder: Path, name: str, *command: str) -> Runs:
     runs = Runs(folder / "arm" / "study.toml")
     runs.prepare(name)
-    command = ("identify", "../../study.toml", "--out", ".", *arguments)
     runs.start(name, "identify", [command])
     return runs
 
@@ -176,7 +179,7 @@ def test_two_studies_of_one_folder_have_runs_of_their_own(folder: Path) -> None:
     other.write_text((folder / "arm" / "study.toml").read_text())
     Runs(other).prepare("one")
     assert (folder / "arm" / "runs-payload" / "one").is_dir()
-    runs = start_identify(folder, "one", "--stages", "rigid")
+    runs = start(folder, "one", "identify", "--help")
     wait_for(runs, "one", "done")
     assert Runs(other).all() == []
 
@@ -237,7 +240,7 @@ def test_a_dead_ticket_holds_nobody_up(folder: Path) -> None:
     queue = user_folder()
     (queue / f"ticket-1.{os.getpid()}").touch()
     assert runs_ahead(os.getpid()) is None
-    runs = start_identify(folder, "one", "--stages", "rigid")
+    runs = start(folder, "one", "identify", "--help")
     wait_for(runs, "one", "done")
 
 
