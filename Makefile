@@ -52,8 +52,8 @@ ifndef SEED
 SEED := $(shell od -An -N4 -tu4 /dev/urandom | tr -d ' ')
 endif
 
-# One process of tests more than cores: some tests wait for processes that they start. They keep what
-# Python compiles, or each of them, and each later run, compiles all tests again for 5 s.
+# One process of tests more than cores: some tests wait for processes that they start. Python keeps the
+# compiled tests even where the environment forbids it: they save each process 5 s in later runs.
 WORKERS = $(shell $(PYTHON) -c 'import os; print(min(os.cpu_count() or 1, 8) + 1)')
 
 test: develop
