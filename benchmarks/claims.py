@@ -31,7 +31,7 @@ SHARED_DATA = "../shared/data"  # as commands name it: logs that are not part of
 FRESH = "FRESH"  # in commands: a new file for results
 
 # largest ratio of document and measurement, and largest difference in the unit of the figure
-_MAX_RATIOS = {"error": 1.5, "median": 1.5, "ratio": 2.0, "value": 1.02}
+_MAX_RATIOS = {"error": 1.5, "median": 1.5, "ratio": 2.0, "std": 1.1, "value": 1.02}
 _MAX_DIFFERENCES = {"fit": 0.5, "count": 0.0}
 _MAX_SHARE_STDS = 2.0  # binomial standard deviations between two shares
 _KINDS_OF_PARTS = ("error", "share")  # that fewer arms than those of the document can contradict

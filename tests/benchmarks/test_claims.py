@@ -106,6 +106,8 @@ def test_numbers_and_shares_are_read() -> None:
         ("share", "25 of 26", "26/26", True, True),
         ("value", "9.32", "9.40", True, True),
         ("value", "9.32", "9.60", False, False),
+        ("std", "0.36", "0.39", True, True),
+        ("std", "0.36", "0.45", False, False),
         ("fit", "84.0", "84.4", True, True),
         ("fit", "84.0", "82.0", False, False),
         ("count", "8", "7", False, False),
