@@ -143,11 +143,8 @@ class PreparedRecord:
         if not logged or not is_multiple or round(samples) < _MIN_SAMPLES_PER_COMMAND:
             return {}
         loops = [joints[each.joint - 1].current_loop_hz or np.inf for each in logged]
-        key = (
-            "held commands",
-            round(samples),
-            tuple(loops),
-        )  # the same for arms that differ in sensors
+        # the same for arms that differ in their sensors
+        key = "held commands", round(samples), tuple(loops)
         if key not in self.log.prepared:
             torques = [each.values for each in logged]
             self.log.prepared[key] = held_commands(torques, T, round(samples) * T, loops)

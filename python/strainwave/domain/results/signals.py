@@ -24,7 +24,7 @@ class Log(Displayed):
     # by channel name, (n_samples,): True where a value is interpolated, not measured
     masked: Mapping[str, BoolArray] = field(default_factory=dict)
     is_continuation: bool = False  # a later segment: the motion and its servo run already
-    # by arm: what stages share; see `strainwave.signals.prepared_record`
+    # by arm, or by name and settings: what stages share; see `signals.prepared_record`
     prepared: dict[Any, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @property
