@@ -77,22 +77,35 @@ def served(tmp_path_factory: pytest.TempPathFactory, arm_folder: Path) -> Iterat
             yield client
 
 
-def study_file(client: TestClient) -> Path:
+def workspace(client: TestClient) -> Path:
     folder: Path = client.app.state.workspace.folder  # type: ignore[attr-defined]
-    return folder / STUDY
+    return folder
+
+
+def study_file(client: TestClient) -> Path:
+    return workspace(client) / STUDY
+
+
+def contents(folder: Path) -> dict[Path, bytes]:
+    return {path: path.read_bytes() if path.is_file() else b"" for path in folder.rglob("*")}
 
 
 @contextmanager
-def restored(file: Path) -> Iterator[None]:
-    """A file gets its content back at the end; a file that did not exist is deleted."""
-    before = file.read_bytes() if file.is_file() else None
+def restored(folder: Path) -> Iterator[None]:
+    """Files and subfolders of a folder are the same at the end as at the beginning."""
+    before = contents(folder)
+    folders = {path for path in before if path.is_dir()}
     try:
         yield
     finally:
-        if before is None:
-            file.unlink(missing_ok=True)
-        else:
-            file.write_bytes(before)
+        for path in sorted(folders):
+            path.mkdir(exist_ok=True)
+        after = contents(folder)
+        for path in sorted(after.keys() - before.keys(), reverse=True):
+            path.rmdir() if path.is_dir() else path.unlink()
+        for path in before.keys() - folders:
+            if after.get(path) != before[path]:
+                path.write_bytes(before[path])
 
 
 def places(value: Any, at: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
@@ -116,9 +129,9 @@ def replaced(document: Any, place: tuple[Any, ...], value: Any) -> Any:
 
 @pytest.mark.parametrize("route", ["by-hand-fit", "estimate"])
 def test_the_bodies_before_a_change_start_a_run(served: TestClient, route: str) -> None:
-    answer = served.post(f"/api/{route}/{STUDY}", json=BODIES[route])
-    assert answer.status_code == 200, answer.text
-    shutil.rmtree(Runs(study_file(served)).path(answer.json()["name"]))
+    with restored(workspace(served)):
+        answer = served.post(f"/api/{route}/{STUDY}", json=BODIES[route])
+        assert answer.status_code == 200, answer.text
 
 
 @settings(max_examples=100)
@@ -128,14 +141,12 @@ def test_any_body_gets_an_answer(served: TestClient, data: st.DataObject) -> Non
     body = replaced(
         BODIES[route], data.draw(st.sampled_from(list(places(BODIES[route])))), data.draw(ODD)
     )
-    study = study_file(served)
-    with restored(study):
+    with restored(workspace(served)):
         if route == "study" and isinstance(body, dict):
             body["sha256"] = served.get(f"/api/study/{STUDY}").json()["sha256"]
         answer = served.post(f"/api/{route}/{STUDY}", json=body)
         assert answer.status_code in (200, 400, 422)
         assert served.get(f"/api/study/{STUDY}").status_code == 200
-    shutil.rmtree(Runs(study).path("two"), ignore_errors=True)
 
 
 @settings(max_examples=50)
@@ -165,7 +176,7 @@ def test_any_study_file_is_shown_with_its_error(served: TestClient, data: st.Dat
     place = data.draw(st.sampled_from([at for at in places(document) if at]))
     value = data.draw(ODD.filter(lambda value: value not in (None, [None])))
     query = {"experiment": "motion", "column": "u1", "channel": "u1"}
-    with restored(study):
+    with restored(workspace(served)):
         study.write_text(tomlkit.dumps(replaced(document, place, value)))
         for path in ("/", f"/api/study/{STUDY}", f"/api/preview/{STUDY}", f"/signals/{STUDY}"):
             assert served.get(path, params=query).status_code in (200, 400, 422)
@@ -180,10 +191,6 @@ def full_disk() -> Iterator[None]:
         yield
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
-
-
-def contents(folder: Path) -> dict[Path, bytes]:
-    return {path: path.read_bytes() if path.is_file() else b"" for path in folder.rglob("*")}
 
 
 UNLINK = Path.unlink
@@ -207,7 +214,7 @@ def test_a_full_disk_is_a_sentence_and_changes_nothing(
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     monkeypatch.setattr(Path, "unlink", unlink_closed)
     monkeypatch.setattr(Runs, "_start", START_PROCESS)  # its first write fails
-    folder = study_file(served).parents[1]
+    folder = workspace(served)
     body = dict(BODIES["compare"] if route == "save-comparison" else BODIES.get(route, {}))
     body["sha256"] = served.get(f"/api/study/{STUDY}").json()["sha256"]
     body |= {"folder": "draft", "logs": ["log.parquet"]} if route == "draft" else {}
@@ -233,7 +240,7 @@ def test_a_damaged_file_of_a_run_is_no_internal_error(
     served: TestClient, name: str, content: bytes
 ) -> None:
     file = Runs(study_file(served)).path("one") / name
-    with restored(file):
+    with restored(workspace(served)):
         file.write_bytes(content)
         for page in ("api/estimate", "api/files", "api/check"):
             assert served.get(f"/{page}/{STUDY}").status_code == 200
