@@ -47,6 +47,8 @@ _MAX_DECREASED_RATIO = 0.7
 # is rough, and slow progress would use up the evaluations before the effect is found.
 _MAX_EVALUATIONS_PER_WEIGHTS = 20
 _MAX_CORRECTIONS_AHEAD = 4  # Gauss-Newton steps of a stalled search; one is usual
+# decrease of the exact cost below which they end: a third of a parameter's standard deviation
+_CORRECTED_TOLERANCE = 0.1
 _NEAR_DAMPING = 1e-8  # initial damping near the minimum
 _PUBLISHED_TOLERANCE = (
     1e-4  # relative change of cost or coordinates at which tuning as published ends
@@ -172,15 +174,15 @@ def fine_search(start: Fit, options: WholeArmOptions) -> Fit:
     )
     if start.iterations >= options.max_iterations:  # no evaluations are left; only the cost is new
         return replace(fit, iterations=start.iterations, end=SearchEnd.EVALUATION_LIMIT)
-    for tolerance in (_FINE_TOLERANCE, COARSE_TOLERANCE):
+    for rough in (False, True):
         if not fit.end.is_minimum:
             break
         if fit.iterations >= options.max_iterations:
             return replace(fit, end=SearchEnd.EVALUATION_LIMIT)
         corrected = fit.objective.correct_step_error(fit.z).update_weights(fit.z)
-        fit = refine(replace(fit, objective=corrected), options, tolerance)
+        fit = refine(replace(fit, objective=corrected), options, rough=rough)
         if fit.end is SearchEnd.STALLED:
-            fit = _refine_corrected_ahead(fit, options, tolerance)
+            fit = _refine_corrected_ahead(fit, options, COARSE_TOLERANCE)
     return fit
 
 
@@ -205,15 +207,23 @@ def _refine_corrected_ahead(fit: Fit, options: WholeArmOptions, tolerance: float
         fit = replace(fit, iterations=fit.iterations + 1)
         if cost is None or at.cost - cost < tolerance or fit.iterations >= options.max_iterations:
             break
-        fit = refine(replace(fit, objective=ahead.update_weights(z), z=z), options, tolerance)
+        ahead = ahead.update_weights(z)
+        fit = refine(replace(fit, objective=ahead, z=z), options, tolerance, rough=True)
     return fit
 
 
-def refine(fit: Fit, options: WholeArmOptions, tolerance: float = COARSE_TOLERANCE) -> Fit:
+def refine(
+    fit: Fit,
+    options: WholeArmOptions,
+    tolerance: float = COARSE_TOLERANCE,
+    *,
+    rough: bool = False,
+) -> Fit:
     """Run the last rounds of `fine_search` from a point near the minimum.
 
     The step error correction is not updated. With the default tolerance the result is within one
-    standard deviation of the minimum, which is sufficient for the model selection.
+    standard deviation of the minimum, which is sufficient for the model selection. See `minimise`
+    for `rough`.
     """
     for _ in range(_MAX_WEIGHT_UPDATES):
         if fit.iterations >= options.max_iterations:
@@ -224,6 +234,7 @@ def refine(fit: Fit, options: WholeArmOptions, tolerance: float = COARSE_TOLERAN
             tolerance=tolerance,
             damping=_NEAR_DAMPING,
             near=True,
+            rough=rough,
             max_evaluations=_MAX_EVALUATIONS_PER_WEIGHTS,
         )
         if fit.end is SearchEnd.EVALUATION_LIMIT and fit.iterations < options.max_iterations:
@@ -248,9 +259,10 @@ def polish(fit: Fit, options: WholeArmOptions) -> Fit:
         fit = refine(replace(fit, objective=resolved), options)
         if not fit.end.is_minimum or fit.iterations >= options.max_iterations:
             return fit
-    return search_minimum(
+    fit = search_minimum(
         fit, options, tolerance=_FINE_TOLERANCE, damping=_NEAR_DAMPING, near=True, rough=True
     )
+    return _refine_corrected_ahead(fit, options, _CORRECTED_TOLERANCE)
 
 
 def search_minimum(

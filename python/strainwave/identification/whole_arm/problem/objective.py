@@ -66,6 +66,7 @@ class _EvaluationCache:
     last: tuple[bytes, list[Evaluation]] | None = None
     rows: tuple[bytes, tuple[Weights, ...], list[Rows]] | None = None
     long_steps: tuple[bytes, tuple[Weights, ...], Objective] | None = None
+    corrected_at: bytes | None = None  # point of the last correction of the step error
     # fetches the rows at the last point from the workers of a cluster
     remote: tuple[bytes, tuple[Weights, ...], Callable[[], list[Rows]]] | None = None
 
@@ -244,19 +245,24 @@ class Objective:
 
     def correct_step_error(self, z: FloatArray) -> Objective:
         """Correct the integrator step error of all records at z."""
-        evaluated, values, simulated = self.evaluate(z), self.space.values(z), self.simulate(z)
+        if self.memory.corrected_at == z.tobytes():
+            return self
+        memory = replace(self.memory, record_parameters=list(self.memory.record_parameters))
+        at = replace(self, memory=memory)  # what is cached of another point stays
+        evaluated, values, simulated = at.evaluate(z), self.space.values(z), at.simulate(z)
 
-        def corrected(k: int, record: Dataset) -> Dataset:
-            return record.correct_step_error(values, self.initial_states(k), simulated[k])
+        def shorter(k: int, record: Dataset) -> Dataset:
+            return record.correct_step_error(values, at.initial_states(k), simulated[k])
 
-        records = tuple(self._map_records(corrected))
+        records = tuple(self._map_records(shorter))
         pairs = zip(evaluated, records, self.records, strict=True)
         shifted = [
             replace(e, difference=e.difference + n.step_error_correction - o.step_error_correction)
             for e, n, o in pairs
         ]
-        memory = _EvaluationCache(list(self.memory.record_parameters), (z.tobytes(), shifted))
-        return replace(self, records=records, memory=memory)
+        point = z.tobytes()
+        corrected = _EvaluationCache(memory.record_parameters, (point, shifted), corrected_at=point)
+        return replace(self, records=records, memory=corrected)
 
     def resolve_modes(self, z: FloatArray) -> Objective:
         """Shorten the steps of records to those that resolve the fastest mode at z.
