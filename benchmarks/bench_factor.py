@@ -34,7 +34,7 @@ def rows() -> list[Row]:
         ),
         Row(
             f"the same, with weights, {size}",
-            best_of(lambda: weighted_factor(columns, scale, residual, [])),
+            best_of(lambda: weighted_factor([columns], scale, residual, [])),
             "NumPy qr",
             best_of(lambda: np.linalg.qr(table(), mode="r")),
         ),

@@ -238,16 +238,17 @@ def triangular_factor(table: NDArray[np.float64]) -> NDArray[np.float64]:
     """R (n, n) of the QR decomposition of a contiguous table (n_rows, n). The GIL is released."""
 
 def weighted_factor(
-    columns: NDArray[np.float64],
+    columns: Sequence[NDArray[np.float64]],
     scale: NDArray[np.float64],
     residual: NDArray[np.float64],
     biased: Sequence[int],
 ) -> NDArray[np.float64]:
     """R (n + 1, n + 1) of the rows [scale columns, residual] without the biases of some channels.
 
-    `columns` (n_rows, n_channels, n) are derivatives, `scale` (n_rows, n_channels) their factors.
-    `residual` (n_rows, n_channels) contains the factors. The rows of each channel of `biased` are
-    projected onto the complement of its factors. The table is not stored. The GIL is released.
+    `columns` are derivatives (n_rows, n_channels, ...), n in all, `scale` (n_rows, n_channels)
+    their factors. `residual` (n_rows, n_channels) contains the factors. The rows of each channel of
+    `biased` are projected onto the complement of its factors. The table is not stored. The GIL is
+    released.
     Raises ValueError for sizes that do not fit and arrays that are not contiguous.
     """
 

@@ -43,14 +43,15 @@ def test_a_triangular_factor_takes_strided_tables() -> None:
 
 def test_a_weighted_factor_takes_strided_columns_and_rejects_sizes_that_do_not_fit() -> None:
     columns, rows = np.random.default_rng(1).normal(size=(4, 3, 4)), np.ones((4, 3))
-    R = weighted_factor(columns[..., ::2], rows, rows, [2])
-    np.testing.assert_array_equal(R, weighted_factor(columns[..., ::2].copy(), rows, rows, [2]))
-    with pytest.raises(ValueError, match="scale: expected 4 x 3 values, got 3 x 4"):
-        weighted_factor(columns, np.ones((3, 4)), rows, [])
-    with pytest.raises(ValueError, match="residual: expected 4 x 3 values, got 4 x 2"):
-        weighted_factor(columns, rows, rows[:, :2], [])
+    R = weighted_factor([columns[..., ::2], columns[..., 1:2]], rows, rows, [2])
+    together = columns[..., [0, 2, 1]].copy()
+    np.testing.assert_array_equal(R, weighted_factor([together], rows, rows, [2]))
+    with pytest.raises(ValueError, match="columns: expected 3 x 4 rows, got 4 x 3"):
+        weighted_factor([columns], np.ones((3, 4)), np.ones((3, 4)), [])
+    with pytest.raises(ValueError, match="residual: expected 4 x 3 rows, got 4 x 2"):
+        weighted_factor([columns], rows, rows[:, :2], [])
     with pytest.raises(ValueError, match="biased: expected numbers below 3, got 3"):
-        weighted_factor(columns, rows, rows, [0, 3])
+        weighted_factor([columns], rows, rows, [0, 3])
 
 
 def test_a_triangular_factor_is_more_accurate_than_normal_equations() -> None:

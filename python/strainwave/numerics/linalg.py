@@ -40,17 +40,18 @@ def triangular_factor(table: FloatArray) -> FloatArray:
 
 
 def weighted_factor(
-    columns: FloatArray, scale: FloatArray, residual: FloatArray, biased: Sequence[int]
+    columns: Sequence[FloatArray], scale: FloatArray, residual: FloatArray, biased: Sequence[int]
 ) -> FloatArray:
     """Triangular factor R (n + 1, n + 1) of [scale columns, residual] without biases.
 
-    `columns` (n_rows, n_channels, n) are derivatives, `scale` (n_rows, n_channels) their factors.
-    `residual` (n_rows, n_channels) contains its factors. A bias is a constant in a channel of
-    `biased`: the rows of the channel are projected onto the complement of the channel's factors.
-    The table is not stored, which halves the time of large ones. The GIL is released.
+    `columns` are derivatives (n_rows, n_channels, ...), n in all, side by side, and `scale`
+    (n_rows, n_channels) their factors. `residual` (n_rows, n_channels) contains its factors. A bias
+    is a constant in a channel of `biased`: the rows of the channel are projected onto the
+    complement of the channel's factors. The table is not stored, which halves the time of large
+    ones. The GIL is released.
     """
     return _core.weighted_factor(
-        np.ascontiguousarray(columns),
+        [np.ascontiguousarray(part) for part in columns],
         np.ascontiguousarray(scale),
         np.ascontiguousarray(residual),
         biased,

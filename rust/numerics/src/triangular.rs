@@ -143,34 +143,40 @@ pub fn factor(table: &[f64], columns: usize) -> Vec<f64> {
     factor.finish()
 }
 
+/// Derivatives (samples, channels, unknowns), row-major.
+#[derive(Clone, Copy)]
+pub struct Columns<'a> {
+    pub values: &'a [f64],
+    pub unknowns: usize,
+}
+
 /// Rows of a linearised least-squares problem, with a factor for each row.
 #[derive(Clone, Copy)]
 pub struct WeightedRows<'a> {
-    /// Derivatives (samples, channels, unknowns), without the factors.
-    pub columns: &'a [f64],
+    /// Derivatives of the rows side by side, without the factors.
+    pub columns: &'a [Columns<'a>],
     /// Factors (samples, channels).
     pub scale: &'a [f64],
     /// Residuals (samples, channels), with their factors.
     pub residual: &'a [f64],
     /// Number of channels.
     pub channels: usize,
-    /// Number of unknowns.
-    pub unknowns: usize,
 }
 
 impl WeightedRows<'_> {
     /// R of [scale columns, residual], (unknowns + 1, unknowns + 1) row-major, after elimination of
     /// a constant in the unscaled rows of each channel of `biased`.
     pub fn factor(self, biased: &[usize]) -> Vec<f64> {
-        let n = self.unknowns;
+        let n = self.unknowns();
         let constants = self.constants(biased);
         let mut factor = TriangularFactor::new(n + 1);
         let mut weighted = vec![0.0; n + 1];
         for at in 0..self.scale.len() {
-            let (scale, row) = (self.scale[at], &self.columns[at * n..][..n]);
+            self.gather(at, &mut weighted);
+            let scale = self.scale[at];
             let constant = &constants[at % self.channels * (n + 1)..][..n + 1];
             for k in 0..n {
-                weighted[k] = scale * (row[k] - constant[k]);
+                weighted[k] = scale * (weighted[k] - constant[k]);
             }
             weighted[n] = self.residual[at] - scale * constant[n];
             factor.add(&weighted);
@@ -178,10 +184,25 @@ impl WeightedRows<'_> {
         factor.finish()
     }
 
+    /// Number of unknowns of all columns.
+    pub fn unknowns(self) -> usize {
+        self.columns.iter().map(|part| part.unknowns).sum()
+    }
+
+    /// Copies the unscaled derivatives of a row to the beginning of `row`.
+    fn gather(self, at: usize, row: &mut [f64]) {
+        let mut begin = 0;
+        for &Columns { values, unknowns } in self.columns {
+            row[begin..][..unknowns].copy_from_slice(&values[at * unknowns..][..unknowns]);
+            begin += unknowns;
+        }
+    }
+
     /// Constants (channels, unknowns + 1) that fit the unscaled rows best; zero without a bias.
     fn constants(self, biased: &[usize]) -> Vec<f64> {
-        let n = self.unknowns;
+        let n = self.unknowns();
         let mut constants = vec![0.0; self.channels * (n + 1)];
+        let mut row = vec![0.0; n];
         let mut power = vec![0.0; self.channels];
         let samples = self.scale.len().checked_div(self.channels).unwrap_or(0);
         for sample in 0..samples {
@@ -189,7 +210,8 @@ impl WeightedRows<'_> {
                 let at = sample * self.channels + channel;
                 let scale = self.scale[at];
                 let sums = &mut constants[channel * (n + 1)..][..n + 1];
-                let (row, weight) = (&self.columns[at * n..][..n], scale * scale);
+                let weight = scale * scale;
+                self.gather(at, &mut row);
                 for k in 0..n {
                     sums[k] += weight * row[k];
                 }

@@ -6,7 +6,7 @@ use numpy::{
 };
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
-use strainwave_numerics::triangular::{self, WeightedRows};
+use strainwave_numerics::triangular::{self, Columns, WeightedRows};
 
 use crate::statespace::not_contiguous;
 
@@ -32,18 +32,19 @@ fn triangular_factor<'py>(
 #[pyfunction]
 fn weighted_factor<'py>(
     py: Python<'py>,
-    columns: PyReadonlyArray3<'py, f64>,
+    columns: Vec<PyReadonlyArray3<'py, f64>>,
     scale: PyReadonlyArray2<'py, f64>,
     residual: PyReadonlyArray2<'py, f64>,
     biased: Vec<usize>,
 ) -> PyResult<Bound<'py, PyArray2<f64>>> {
-    let &[samples, channels, unknowns] = columns.shape() else {
-        unreachable!("three dimensions")
+    let &[samples, channels] = scale.shape() else {
+        unreachable!("two dimensions")
     };
-    for (name, shape) in [("scale", scale.shape()), ("residual", residual.shape())] {
-        if shape != [samples, channels] {
+    let shapes = columns.iter().map(|part| ("columns", part.shape()));
+    for (name, shape) in shapes.chain([("residual", residual.shape())]) {
+        if shape[..2] != [samples, channels] {
             return Err(PyValueError::new_err(format!(
-                "{name}: expected {samples} x {channels} values, got {} x {}",
+                "{name}: expected {samples} x {channels} rows, got {} x {}",
                 shape[0], shape[1]
             )));
         }
@@ -53,15 +54,23 @@ fn weighted_factor<'py>(
             "biased: expected numbers below {channels}, got {channel}"
         )));
     }
+    let columns = columns
+        .iter()
+        .map(|part| {
+            Ok(Columns {
+                values: part.as_slice().map_err(|_| not_contiguous("columns"))?,
+                unknowns: part.shape()[2],
+            })
+        })
+        .collect::<PyResult<Vec<_>>>()?;
     let rows = WeightedRows {
-        columns: columns.as_slice().map_err(|_| not_contiguous("columns"))?,
+        columns: &columns,
         scale: scale.as_slice().map_err(|_| not_contiguous("scale"))?,
         residual: residual
             .as_slice()
             .map_err(|_| not_contiguous("residual"))?,
         channels,
-        unknowns,
     };
     let factor = py.detach(|| rows.factor(&biased));
-    factor.into_pyarray(py).reshape([unknowns + 1; 2])
+    factor.into_pyarray(py).reshape([rows.unknowns() + 1; 2])
 }

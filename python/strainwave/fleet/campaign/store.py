@@ -157,7 +157,10 @@ class Store:
     def _names(self, kind: str) -> list[str]:
         """Files of `runs` or `parameters`, sorted; temporary files begin with a dot."""
         system, root = self._folder
-        entries = system.get_file_info(fs.FileSelector(f"{root}/{kind}", allow_not_found=True))
+        try:
+            entries = system.get_file_info(fs.FileSelector(f"{root}/{kind}", allow_not_found=True))
+        except FileNotFoundError:  # another process creates the folder just now
+            return []
         names = sorted(entry.base_name for entry in entries if entry.extension == "parquet")
         return [f"{kind}/{name}" for name in names if not name.startswith(".")]
 

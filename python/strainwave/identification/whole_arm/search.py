@@ -174,15 +174,15 @@ def fine_search(start: Fit, options: WholeArmOptions) -> Fit:
     )
     if start.iterations >= options.max_iterations:  # no evaluations are left; only the cost is new
         return replace(fit, iterations=start.iterations, end=SearchEnd.EVALUATION_LIMIT)
-    for rough in (False, True):
+    for tolerance in (_FINE_TOLERANCE, COARSE_TOLERANCE):
         if not fit.end.is_minimum:
             break
         if fit.iterations >= options.max_iterations:
             return replace(fit, end=SearchEnd.EVALUATION_LIMIT)
         corrected = fit.objective.correct_step_error(fit.z).update_weights(fit.z)
-        fit = refine(replace(fit, objective=corrected), options, rough=rough)
+        fit = refine(replace(fit, objective=corrected), options, tolerance)
         if fit.end is SearchEnd.STALLED:
-            fit = _refine_corrected_ahead(fit, options, COARSE_TOLERANCE)
+            fit = _refine_corrected_ahead(fit, options, max(tolerance, _CORRECTED_TOLERANCE))
     return fit
 
 

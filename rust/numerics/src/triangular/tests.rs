@@ -104,6 +104,7 @@ proptest! {
     fn weighted_rows_have_no_constant(seed: u64, samples in 1..80_usize, biased in 0..4_usize) {
         const CHANNELS: usize = 3;
         const UNKNOWNS: usize = 9;
+        const FIRST: usize = 4; // of them are apart
         let columns = whole_numbers(seed, samples * CHANNELS * UNKNOWNS);
         let residual = whole_numbers(seed ^ 1, samples * CHANNELS);
         let mut scale = whole_numbers(seed ^ 2, samples * CHANNELS);
@@ -125,12 +126,19 @@ proptest! {
                 rows().for_each(|at| table[at * N + k] -= scale[at] * along / power);
             }
         }
+        let part = |range: std::ops::Range<usize>| -> Vec<f64> {
+            columns.chunks_exact(UNKNOWNS).flat_map(|row| row[range.clone()].to_vec()).collect()
+        };
+        let (first, others) = (part(0..FIRST), part(FIRST..UNKNOWNS));
+        let parts = [
+            Columns { values: &first, unknowns: FIRST },
+            Columns { values: &others, unknowns: UNKNOWNS - FIRST },
+        ];
         let rows = WeightedRows {
-            columns: &columns,
+            columns: &parts,
             scale: &scale,
             residual: &residual,
             channels: CHANNELS,
-            unknowns: UNKNOWNS,
         };
         let error = product_error(&rows.factor(&biased), &gram(&table, N), &squares, N);
         prop_assert!(error < 1e-14, "{error:e}");

@@ -511,9 +511,8 @@ class Objective:
         """
 
         def factor(k: int, evaluated: Evaluation) -> FloatArray:
-            columns = np.concatenate([evaluated.columns, *columns_of(k, evaluated)], axis=2)
-            extended = replace(evaluated, columns=columns)
-            R = extended.weigh(self.weights[k]).factor(MIN_CURVATURE_RATIO)
+            rows = evaluated.weigh(self.weights[k])
+            R = rows.factor(MIN_CURVATURE_RATIO, columns_of(k, evaluated))
             missing = np.zeros((len(R), len(self.space.unknowns) + n_columns + 1 - R.shape[1]))
             return np.concatenate([R[:, :-1], missing, R[:, -1:]], axis=1)
 

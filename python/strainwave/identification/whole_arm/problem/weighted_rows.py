@@ -7,6 +7,7 @@ first, so the rows of the triangular factor below them are the problem in the sh
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -175,12 +176,15 @@ class Rows:
             shared = shared - flat[:, :n] @ np.linalg.lstsq(flat[:, :n], shared)[0]
         return np.asarray(shared.reshape(*table.shape[:2], -1))
 
-    def factor(self, min_curvature_ratio: float) -> FloatArray:
-        """R of [shared, residual] after elimination of the record parameters.
+    def factor(
+        self, min_curvature_ratio: float, additional: Sequence[FloatArray] = ()
+    ) -> FloatArray:
+        """R of [shared, additional, residual] after elimination of the record parameters.
 
         R reproduces the gradient of the loss and its mean curvature. The curvature is less than the
         weights (1 + r^2)^(-1/2) of the gradient, with which steps would be a third too short.
-        `min_curvature_ratio` is its minimum relative to the weights.
+        `min_curvature_ratio` is its minimum relative to the weights. `additional` are unweighted
+        columns (n_rows, n_channels, ...).
         """
         square = self.root**2
         curvature = np.sum(square / (1.0 + self.residual**2), axis=0) / np.sum(square, axis=0)
@@ -190,7 +194,8 @@ class Rows:
         if self.evaluated.is_counted is not None:
             scale *= self.evaluated.is_counted
         residual = self.residual * (self.root / curvature)
-        return weighted_factor(columns, scale, residual, self.evaluated.biased)[n:, n:]
+        biased = self.evaluated.biased
+        return weighted_factor([columns, *additional], scale, residual, biased)[n:, n:]
 
     def cost(self, weights: Weights) -> float:
         """Soft L1 loss of the record."""

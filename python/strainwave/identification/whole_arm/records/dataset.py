@@ -528,7 +528,11 @@ class Dataset:
         self, rows: Mapping[Quantity, FloatArray], values: Mapping[Key, float]
     ) -> FloatArray:
         """Channels (n_rows, n_channels, ...) from rows (n_rows, n_joints, ...) of each quantity."""
-        return np.stack([c.reading(rows, values) for c in self.channels], axis=1)
+        like = next(iter(rows.values()))
+        stacked = np.empty((len(like), len(self.channels), *like.shape[2:]))
+        for k, channel in enumerate(self.channels):  # one at a time: derivatives are large
+            stacked[:, k] = channel.reading(rows, values)
+        return stacked
 
 
 def noise_behind(
