@@ -143,10 +143,12 @@ pub fn factor(table: &[f64], columns: usize) -> Vec<f64> {
     factor.finish()
 }
 
-/// Derivatives (samples, channels, unknowns), row-major.
+/// Derivatives of all rows with respect to some of the unknowns.
 #[derive(Clone, Copy)]
 pub struct Columns<'a> {
+    /// Derivatives (samples, channels, unknowns), row-major.
     pub values: &'a [f64],
+    /// Number of unknowns.
     pub unknowns: usize,
 }
 
