@@ -151,7 +151,7 @@ def _indented(value: Any, line: str = "\n") -> str:
 
 
 _compact = json.JSONEncoder(ensure_ascii=False, allow_nan=False).encode  # all in C
-_NESTED = (str, list, tuple, Mapping)  # lists of these take one line for each entry
+_NESTED = (str, list, tuple, dict)  # lists of these take one line for each entry
 
 
 def read_document(path: Path) -> dict[str, Any]:

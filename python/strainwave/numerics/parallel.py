@@ -20,7 +20,7 @@ Result = TypeVar("Result")
 First = TypeVar("First")
 Second = TypeVar("Second")
 
-_TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3  # options of mallopt in glibc's malloc.h
+_TRIM_THRESHOLD, _MMAP_THRESHOLD, _ARENA_MAX = -1, -3, -8  # options of mallopt in glibc's malloc.h
 _KEPT_BYTES = 2**28  # bytes below which freed memory is kept and arrays are not mapped separately
 _COLLECTOR_THRESHOLD = 100_000  # allocations between two runs of the garbage collector
 # [s] maximum time before a thread releases the interpreter to another thread
@@ -70,6 +70,7 @@ def _keep_freed_memory() -> None:
         return
     for option in (_MMAP_THRESHOLD, _TRIM_THRESHOLD):
         mallopt(option, _KEPT_BYTES)
+    mallopt(_ARENA_MAX, os.cpu_count() or 1)  # of eight times as many, each keeps what it freed
 
 
 class Stopped(BaseException):

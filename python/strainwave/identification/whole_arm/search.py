@@ -150,12 +150,17 @@ def resumed_coarse_search(start: Fit, options: WholeArmOptions) -> Fit:
 
 
 def _reweight(fit: Fit, options: WholeArmOptions) -> Fit:
-    """Continue a coarse fit with updated weights as long as the errors decrease markedly."""
+    """Continue a coarse fit with updated weights as long as the errors decrease markedly.
+
+    Where a search stalls, further weights hardly change its end, and the fine search continues.
+    """
     fit = replace(fit, objective=fit.objective.update_weights(fit.z))
     for _ in range(_MAX_COARSE_UPDATES):
         fit = search_minimum(fit, options, relative=COARSE_RELATIVE_TOLERANCE)
         updated = fit.objective.update_weights(fit.z)
-        is_finished = not fit.end.is_minimum or fit.iterations >= options.max_iterations
+        is_finished = (
+            fit.end is not SearchEnd.CONVERGED or fit.iterations >= options.max_iterations
+        )
         changes = _changes(fit.objective, updated)
         if is_finished or all(np.min(one) >= _MAX_DECREASED_RATIO for one in changes):
             break
