@@ -186,8 +186,6 @@ def fine_search(start: Fit, options: WholeArmOptions) -> Fit:
             return replace(fit, end=SearchEnd.EVALUATION_LIMIT)
         corrected = fit.objective.correct_step_error(fit.z).update_weights(fit.z)
         fit = refine(replace(fit, objective=corrected), options, tolerance)
-        if fit.end is SearchEnd.STALLED:
-            fit = _refine_corrected_ahead(fit, options, max(tolerance, _CORRECTED_TOLERANCE))
     return fit
 
 
