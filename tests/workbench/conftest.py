@@ -176,7 +176,9 @@ def context(tmp_path_factory: pytest.TempPathFactory) -> Iterator[BrowserContext
             executable_path=CHROMIUM,
             args=["--no-sandbox"],
             viewport={"width": 1280, "height": 900},
+            reduced_motion="reduce",  # colours in the middle of a transition have little contrast
         )
+        window.set_default_timeout(60_000)
         yield window
         window.close()
 
@@ -220,7 +222,6 @@ def visit(folder: Path, site: Site, context: BrowserContext) -> Iterator[Visit]:
     site.serve(folder)
     context.clear_cookies()
     page = context.new_page()
-    page.set_default_timeout(60_000)
     page.goto(f"{site.url}/?token={TOKEN}")
     page.evaluate("localStorage.clear()")
     visited = Visit(page, site.url, folder)

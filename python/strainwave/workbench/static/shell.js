@@ -26,13 +26,13 @@ byId("help").addEventListener("click", (event) => {
   act(byId("help"), openHelp);
 });
 
-let goTime = 0;
+let goTime = -Infinity; // of the last G
 document.addEventListener("keydown", (event) => {
   const hasModifier = event.ctrlKey || event.metaKey || event.altKey;
   if (event.key === "Enter" && (event.ctrlKey || event.metaKey)) document.querySelector("main button.primary:not([disabled])")?.click();
   if (hasModifier || event.defaultPrevented || isTyping(event.target) || document.querySelector("dialog[open]")) return;
   const isGoing = event.timeStamp - goTime < KEY_TIME;
-  goTime = event.key.toLowerCase() === "g" && !isGoing ? event.timeStamp : 0;
+  goTime = event.key.toLowerCase() === "g" && !isGoing ? event.timeStamp : -Infinity;
   if (isGoing) document.querySelector(`header nav [data-letter="${CSS.escape(event.key.toUpperCase())}"]`)?.click();
   else if (event.key === "?") byId("help").click();
   else if (event.key === "/") {
