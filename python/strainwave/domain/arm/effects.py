@@ -94,6 +94,8 @@ class Effect:
     first_joint_only: bool = False  # whether only the first joint can have the effect
     moves_link_encoder: bool = False  # moves its zero, so that it measures no absolute angle
     by_record: bool = False  # whether each record has its own sizes, named by `of_record`
+    # whether variational equations, in place of dual numbers, differentiate it at any size
+    is_of_drive: bool = False
     is_part_of_link: bool = False  # size is an inertia that slow motion does not show apart
     # whether a rigid step without it biases inertias and gravity, not only friction
     misleads_inertias: bool = False
@@ -113,6 +115,11 @@ class Effect:
     def required(self) -> tuple[str, ...]:
         """Parameters that values must contain."""
         return tuple(name for name in self.names if name not in self.defaults)
+
+    @property
+    def needs_dual_numbers(self) -> bool:
+        """Whether the core differentiates it by dual numbers, which take ten times as long."""
+        return self.core_name is not None and not (self.is_of_drive or self.by_record)
 
     def sizes_in(self, records: Sequence[str]) -> tuple[str, ...]:
         """Names of the sizes in a fit of the records with these names."""

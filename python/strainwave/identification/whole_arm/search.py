@@ -158,9 +158,7 @@ def _reweight(fit: Fit, options: WholeArmOptions) -> Fit:
     for _ in range(_MAX_COARSE_UPDATES):
         fit = search_minimum(fit, options, relative=COARSE_RELATIVE_TOLERANCE)
         updated = fit.objective.update_weights(fit.z)
-        is_finished = (
-            fit.end is not SearchEnd.CONVERGED or fit.iterations >= options.max_iterations
-        )
+        is_finished = fit.end is not SearchEnd.CONVERGED or fit.iterations >= options.max_iterations
         changes = _changes(fit.objective, updated)
         if is_finished or all(np.min(one) >= _MAX_DECREASED_RATIO for one in changes):
             break

@@ -40,7 +40,18 @@ def test_the_likeliest_cause_is_the_true_one(name: str) -> None:
 
     No resonance of a sensor mount is reported in its place.
     """
-    model = whole_arm((name,), ())
+    check_cause(whole_arm((name,), ()), name)
+
+
+@pytest.mark.parametrize("name", ["stribeck", "hysteresis", "backlash", "flexible-link"])
+def test_the_derivatives_of_many_unknowns_may_lack_the_cause(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(causes, "MANY_UNKNOWNS", 0)
+    check_cause(whole_arm.__wrapped__((name,), ()), name)
+
+
+def check_cause(model: ArmModel, name: str) -> None:
     codes = [w.code for w in model.warnings]
     (likely,) = (code for code in codes if code.endswith("-likely"))
     assert likely in [effect_named(effect).warning_code for effect in (name, *ALIKE.get(name, ()))]
