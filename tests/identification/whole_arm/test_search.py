@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, cast
 
 import numpy as np
@@ -46,8 +46,8 @@ class Corrected:
 
 
 def test_a_search_leaves_the_point_of_its_step_error_correction() -> None:
-    start = Fit.at(cast(Any, Corrected(0.0)), np.zeros(1))
-    fit = polish(replace(start, end=SearchEnd.STALLED), WholeArmOptions())
+    start = Fit.at(cast(Any, Corrected()), np.zeros(1))
+    fit = polish(fine_search(start, WholeArmOptions()), WholeArmOptions())
     assert fit.end is SearchEnd.CONVERGED
     np.testing.assert_allclose(fit.z, MINIMUM, atol=REACH)
     assert fit.iterations < 12

@@ -187,7 +187,7 @@ def fine_search(start: Fit, options: WholeArmOptions) -> Fit:
     return fit
 
 
-def _refine_corrected_ahead(fit: Fit, options: WholeArmOptions, tolerance: float) -> Fit:
+def _refine_corrected_ahead(fit: Fit, options: WholeArmOptions) -> Fit:
     """Refine a stalled fit from its Gauss-Newton step, with the step error corrected there.
 
     The correction is exact only where it was computed. Where motors stick, the cost jumps around
@@ -206,10 +206,12 @@ def _refine_corrected_ahead(fit: Fit, options: WholeArmOptions, tolerance: float
             break
         cost = ahead.cost(z)
         fit = replace(fit, iterations=fit.iterations + 1)
-        if cost is None or at.cost - cost < tolerance or fit.iterations >= options.max_iterations:
+        if cost is None or at.cost - cost < _CORRECTED_TOLERANCE:
+            break
+        if fit.iterations >= options.max_iterations:
             break
         ahead = ahead.update_weights(z)
-        fit = refine(replace(fit, objective=ahead, z=z), options, tolerance, rough=True)
+        fit = refine(replace(fit, objective=ahead, z=z), options, _CORRECTED_TOLERANCE, rough=True)
     return fit
 
 
@@ -263,7 +265,7 @@ def polish(fit: Fit, options: WholeArmOptions) -> Fit:
     fit = search_minimum(
         fit, options, tolerance=_FINE_TOLERANCE, damping=_NEAR_DAMPING, near=True, rough=True
     )
-    return _refine_corrected_ahead(fit, options, _CORRECTED_TOLERANCE)
+    return _refine_corrected_ahead(fit, options)
 
 
 def search_minimum(

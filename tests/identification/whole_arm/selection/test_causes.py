@@ -47,7 +47,7 @@ def test_the_likeliest_cause_is_the_true_one(name: str) -> None:
 def test_the_derivatives_of_many_unknowns_may_lack_the_cause(
     name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(causes, "MANY_UNKNOWNS", 0)
+    monkeypatch.setattr(causes, "MAX_DUAL_UNKNOWNS", 0)
     check_cause(whole_arm.__wrapped__((name,), ()), name)
 
 

@@ -76,8 +76,7 @@ class _EvaluationCache:
 class AbsentEffect:
     """The arm without one of its effects, for derivatives that the effect hardly changes."""
 
-    parameters: frozenset[Key]  # of the effect
-    absent: Values  # their values without it
+    absent: Values  # of the effect's parameters
     size: Key
     whole: Key | None  # inertia that then includes the size
 
@@ -269,22 +268,22 @@ class Objective:
         """Correct the integrator step error of all records at z."""
         if self.memory.corrected_at == z.tobytes():
             return self
-        memory = replace(self.memory, record_parameters=list(self.memory.record_parameters))
-        at = replace(self, memory=memory)  # what is cached of another point stays
+        cache = replace(self.memory, record_parameters=list(self.memory.record_parameters))
+        at = replace(self, memory=cache)  # what is cached of another point stays
         evaluated, values, simulated = at.evaluate(z), self.space.values(z), at.simulate(z)
 
-        def shorter(k: int, record: Dataset) -> Dataset:
+        def corrected(k: int, record: Dataset) -> Dataset:
             return record.correct_step_error(values, at.initial_states(k), simulated[k])
 
-        records = tuple(self._map_records(shorter))
+        records = tuple(self._map_records(corrected))
         pairs = zip(evaluated, records, self.records, strict=True)
         shifted = [
             replace(e, difference=e.difference + n.step_error_correction - o.step_error_correction)
             for e, n, o in pairs
         ]
         point = z.tobytes()
-        corrected = _EvaluationCache(memory.record_parameters, (point, shifted), corrected_at=point)
-        return replace(self, records=records, memory=corrected)
+        memory = _EvaluationCache(cache.record_parameters, (point, shifted), corrected_at=point)
+        return replace(self, records=records, memory=memory)
 
     def resolve_modes(self, z: FloatArray) -> Objective:
         """Shorten the steps of records to those that resolve the fastest mode at z.
@@ -504,7 +503,7 @@ class Objective:
     ) -> tuple[FloatArray, FloatArray]:
         """`Dataset.linearise` by the keys of the unknowns, most of them perhaps `without`."""
         keys, without = self.space.keys, self.without
-        of_effect = np.array([without is not None and key in without.parameters for key in keys])
+        of_effect = np.array([without is not None and key in without.absent for key in keys])
         if without is None or not of_effect.any():
             return record.linearise(values, initial, keys)
         effect, others = ([keys[k] for k in np.flatnonzero(one)] for one in (of_effect, ~of_effect))

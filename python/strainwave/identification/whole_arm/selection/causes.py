@@ -81,7 +81,7 @@ MAX_REFIT_EVALUATIONS = 20  # of each search; most converge in 4 to 9, added ine
 RIVAL_ROWS = 1_200_000
 """Budget of fits with one additional effect, in evaluated residual rows of two joints: 124
 evaluations of a study of 9,700 rows, about a minute of one core."""
-MANY_UNKNOWNS = 60  # so many that an evaluation by dual numbers takes longer than most searches
+MAX_DUAL_UNKNOWNS = 60  # that dual numbers differentiate; of more, one evaluation takes too long
 REFIT_GAIN_TOLERANCE = 0.1  # predicted cost reduction at which a search ends
 MIN_ACHIEVED_GAIN_SHARE = 0.5  # share of the linear gain below which a second start is tried
 LARGE_PART = 1.0 / 3.0  # of a link's inertia, of a vibrating part of it
@@ -444,11 +444,10 @@ def _search_with_effect(
         possible = (*arm.joints[joint - 1].possible_effects, name)
         extended = arm.with_joint(joint, effects=tuple(dict.fromkeys(possible)))
         space, z = add_effects(fit.space, [(joint, name)], arm, start, loads, fit.records)
-        if effect.needs_dual_numbers and len(space.unknowns) > MANY_UNKNOWNS:
+        if effect.needs_dual_numbers and len(space.unknowns) > MAX_DUAL_UNKNOWNS:
             absent: Values = {(each, joint): value for each, value in effect.absent.items()}
             whole = whole_inertia_of((joint, name), arm)
-            parameters = frozenset(absent)
-            without = AbsentEffect(parameters, absent, (effect.sizes[0], joint), whole)
+            without = AbsentEffect(absent, (effect.sizes[0], joint), whole)
     options = replace(selection.options, max_iterations=max_evaluations)
     search = partial(search_minimum, options=options, tolerance=REFIT_GAIN_TOLERANCE)
     try:
