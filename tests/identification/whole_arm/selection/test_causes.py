@@ -47,8 +47,14 @@ def test_the_likeliest_cause_is_the_true_one(name: str) -> None:
 def test_the_derivatives_of_many_unknowns_may_lack_the_cause(
     name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    exact = whole_arm((name,), ()).criticism
     monkeypatch.setattr(causes, "MAX_DUAL_UNKNOWNS", 0)
-    check_cause(whole_arm.__wrapped__((name,), ()), name)
+    model = whole_arm.__wrapped__((name,), ())
+    check_cause(model, name)
+    assert exact is not None
+    assert model.criticism is not None
+    gains = [criticism.causes[0].gain for criticism in (model.criticism, exact)]
+    assert gains[0] == pytest.approx(gains[1], rel=5e-4)
 
 
 def check_cause(model: ArmModel, name: str) -> None:
