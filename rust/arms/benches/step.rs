@@ -94,8 +94,9 @@ fn links_of_two(gravity: f64) -> [f64; 5] {
 fn bench_two_link(name: &str, gravity: f64, width: Width) {
     let plain = two_link(gravity);
     println!(
-        "{name} two-link arm, simulation: {:.1}",
-        plain.simulation(width)
+        "{name} two-link arm, simulation: {:.1}, several at once {:.1} each",
+        plain.simulation(width),
+        plain.together(width)
     );
     let sensors = [Quantity::MotorVelocity, Quantity::Accelerometer];
     let block_sensors = Bench::new(plain.task.config.arm, &plain.parameters, 1, &sensors);
@@ -159,7 +160,9 @@ fn bench_chain(count: usize, width: Width) {
         chain.derivatives(&all, None, width),
     );
     println!(
-        "chain of {count}, simulation: {plain:.0}, with {} derivatives {varied:.0}: {:.1} plain runs",
+        "chain of {count}, simulation: {plain:.0}, several at once {:.0} each, with {} derivatives \
+         {varied:.0}: {:.1} plain runs",
+        chain.together(width),
         all.len(),
         varied / plain
     );
@@ -270,6 +273,14 @@ impl<A: WithPrograms<N>, const N: usize> Bench<A, N> {
         let programs = self.task.config.arm.programs();
         let member = self.member();
         self.shortest_time(|| assert!(programs.simulate(&self.task, &member, width).is_ok()))
+    }
+
+    /// Time of a step per experiment, of as many at once as a register has lanes [ns].
+    fn together(&self, width: Width) -> f64 {
+        let programs = self.task.config.arm.programs();
+        let cases = vec![(self.task.clone(), self.member()); width.lanes()];
+        let all = || programs.simulate_all(&cases, width).iter().all(Result::is_ok);
+        self.shortest_time(|| assert!(all())) / cases.len() as f64
     }
 
     fn derivatives(

@@ -11,6 +11,7 @@ use std::marker::PhantomData;
 
 use crate::arm::Arm;
 use crate::experiment::simulate::Simulate;
+use crate::experiment::together::{SimulateTogether, can_share};
 use crate::experiment::{Diverged, Member, Record, Task, values};
 use crate::joint::gear::{AllLaws, Gears, Slopes};
 #[cfg(target_arch = "x86_64")]
@@ -83,6 +84,16 @@ impl Width {
         Self::Portable
     };
 
+    /// Numbers in a register.
+    pub fn lanes(self) -> usize {
+        match self {
+            Self::Portable => 1,
+            Self::Neon => 2,
+            Self::Avx2 => 4,
+            Self::Avx512 => 8,
+        }
+    }
+
     /// # Panics
     /// The processor has no registers of this width.
     pub(crate) fn require(self) {
@@ -96,6 +107,11 @@ impl Width {
 /// Simulates one experiment.
 pub type Simulation<A, const N: usize> =
     fn(&Task<A, N>, &Member<'_, N>) -> Result<Record<N>, Diverged>;
+/// An experiment, and the parameters and inputs of the arm in it.
+pub type Case<'a, A, const N: usize> = (Task<A, N>, Member<'a, N>);
+/// Simulates several experiments at once, at most [`Width::lanes`].
+pub type SimulationTogether<A, const N: usize> =
+    fn(&[Case<'_, A, N>]) -> Vec<Result<Record<N>, Diverged>>;
 /// Simulates one experiment with derivatives.
 pub type Differentiation<A, const N: usize> =
     fn(&Request<'_, A, N>) -> Result<Sensitivities<N>, Diverged>;
@@ -117,6 +133,10 @@ pub struct Programs<A: 'static, const N: usize> {
 pub struct FastPrograms<A: 'static, const N: usize> {
     /// Simulation without effects.
     pub simulation: Simulation<A, N>,
+    /// Simulations of experiments that [`can_share`] one, without effects; `None`: one at a time.
+    pub together: Option<SimulationTogether<A, N>>,
+    /// As `together`, on AVX-512.
+    pub together_avx512: Option<SimulationTogether<A, N>>,
     /// Derivatives, with effects of the drive, and other effects of size zero.
     pub forward: Differentiation<A, N>,
     /// As `forward`, on AVX-512.
@@ -151,6 +171,8 @@ impl<A: Arm<N>, const N: usize> GeneralPrograms<A, N> {
     pub fn as_fast(&self) -> FastPrograms<A, N> {
         FastPrograms {
             simulation: self.simulation,
+            together: None,
+            together_avx512: None,
             forward: self.forward,
             forward_avx512: self.forward,
         }
@@ -174,6 +196,39 @@ pub fn simulate<A: Arm<N>, G: Gears, const N: usize, const EFFECTS: bool>(
         task, member, lift,
     ))?;
     Ok(values(&record))
+}
+
+/// Simulates several experiments without effects at once, each in a lane of the registers.
+///
+/// # Panics
+/// The processor lacks [`Width::COMPILED`], a gear is not in the set, or the experiments cannot share
+/// a simulation.
+pub fn simulate_together<A: Arm<N>, G: Gears, const N: usize>(
+    cases: &[Case<'_, A, N>],
+) -> Vec<Result<Record<N>, Diverged>> {
+    Width::COMPILED.require();
+    Several::scope(SimulateTogether::<A, One, Several, G, N>::new(cases))
+}
+
+/// [`simulate_together`] with eight lanes per AVX-512 register.
+///
+/// # Panics
+/// The processor lacks AVX-512, a gear is not in the set, or the experiments cannot share a
+/// simulation.
+#[cfg(target_arch = "x86_64")]
+pub fn simulate_together_avx512<A: Arm<N>, G: Gears, const N: usize>(
+    cases: &[Case<'_, A, N>],
+) -> Vec<Result<Record<N>, Diverged>> {
+    Width::Avx512.require();
+    F64x8::scope(SimulateTogether::<A, One, F64x8, G, N>::new(cases))
+}
+
+/// [`simulate_together`], because this target has no wider registers.
+#[cfg(not(target_arch = "x86_64"))]
+pub fn simulate_together_avx512<A: Arm<N>, G: Gears, const N: usize>(
+    cases: &[Case<'_, A, N>],
+) -> Vec<Result<Record<N>, Diverged>> {
+    simulate_together::<A, G, N>(cases)
 }
 
 /// Simulates an arm with elastic gears, with derivatives by the variational equations.
@@ -342,6 +397,36 @@ impl<A: Arm<N>, const N: usize> Programs<A, N> {
         } else {
             (self.general.simulation)(task, member)
         }
+    }
+
+    /// Simulates experiments on one arm, several at once where they can share a simulation.
+    ///
+    /// # Panics
+    /// The processor has no registers of that width.
+    pub fn simulate_all(
+        &self,
+        cases: &[Case<'_, A, N>],
+        width: Width,
+    ) -> Vec<Result<Record<N>, Diverged>> {
+        width.require();
+        let together = match width {
+            Width::Avx512 => self.fast.together_avx512.or(self.fast.together),
+            _ if width >= Width::COMPILED => self.fast.together,
+            _ => None,
+        };
+        let mut results = Vec::with_capacity(cases.len());
+        while results.len() < cases.len() {
+            let rest = &cases[results.len()..];
+            let (first, member) = &rest[0];
+            let shares = |case: &&Case<'_, A, N>| can_share(first, &case.0);
+            let count = rest.iter().take(width.lanes()).take_while(shares).count();
+            let has_program = first.config.has_gears::<Slopes>() && !first.config.has_effects();
+            match together.filter(|_| has_program && count > 1) {
+                Some(program) => results.extend(program(&rest[..count])),
+                None => results.push(self.simulate(first, member, width)),
+            }
+        }
+        results
     }
 
     /// Simulates one experiment with derivatives, with the fastest suitable program.

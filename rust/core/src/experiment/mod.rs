@@ -3,6 +3,7 @@
 pub mod known_length;
 pub mod simulate;
 mod start;
+pub mod together;
 
 use crate::actuation::Servo;
 use crate::arm::link_signals::LinkSensor;
@@ -45,7 +46,7 @@ pub enum Quantity {
 }
 
 /// Clock of an experiment. All its events are at multiples of the integrator's step.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Clock {
     /// Step of the integrator [s].
     pub step: f64,

@@ -8,12 +8,12 @@ use crate::actuation::controller::ServoMemory;
 use crate::actuation::current_loop::CurrentLoop;
 use crate::arm::Arm;
 use crate::experiment::start::start;
-use crate::experiment::{Diverged, Event, Member, Quantity, RecordOf, Source, Task};
+use crate::experiment::{Clock, Diverged, Event, Member, Quantity, Record, RecordOf, Source, Task};
 use crate::joint::Joint;
 use crate::joint::gear::Gears;
 use crate::plant::friction::{Motion, Span, sign};
-use crate::plant::{Instant, Plant, Watch};
-use crate::scalar::{Real, Work, works};
+use crate::plant::{Instant, Plant, State, Watch};
+use crate::scalar::{MAX_LANES, Real, Work, works};
 use crate::sensors::encoder::encoder_angle;
 use crate::sensors::link_sensors::Sensors;
 
@@ -60,7 +60,7 @@ where
     }
 }
 
-/// State of a simulation.
+/// State of a simulation, or of one per lane.
 pub(crate) struct Simulation<
     'a,
     A: Arm<N>,
@@ -69,16 +69,14 @@ pub(crate) struct Simulation<
     const N: usize,
     const EFFECTS: bool = false,
 > {
-    task: &'a Task<A, N>,
+    pub(crate) task: &'a Task<A, N>,
     member: &'a Member<'a, N>,
     pub(crate) plant: Plant<A, S, G, N, EFFECTS>,
     pub(crate) current: CurrentLoop<S, N>,
     pub(crate) motion: Motion<S, N>,
-    has_held_motors: bool,
+    pub(crate) has_held_motors: bool,
     pub(crate) target: [S; N],
     pub(crate) voltage: [S; N],
-    /// Effective voltage [V] after the effects of the drive.
-    effective_voltage: [S; N],
     /// State [V] of the lag of each drive.
     drive_state: [S; N],
     /// Whether any drive has a lag.
@@ -88,7 +86,8 @@ pub(crate) struct Simulation<
     /// Spans between the friction events of the last step; empty without events.
     pub(crate) spans: Vec<Span<S, N>>,
     record: RecordOf<S, N>,
-    diverged: Option<Diverged>,
+    /// Of each lane.
+    diverged: [Option<Diverged>; MAX_LANES],
 }
 
 impl<'a, A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>
@@ -101,10 +100,26 @@ impl<'a, A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>
     ) -> Self {
         const { assert!(S::LANES == 1) };
         let parameter = |k| lift(Source::Parameter(k), member.parameters[k]);
-        let plant: Plant<A, S, G, N, EFFECTS> = task.config.plant_of(parameter);
+        let plant = task.config.plant_of(parameter);
         let current = task.config.current_loop(task.clock.step);
         let motion = start(&plant, &current, &member.initial, lift);
-        let voltage = member.initial.voltage.map(S::splat);
+        let mut simulation =
+            Self::from_motion(task, member, plant, motion, member.initial.voltage.map(S::splat));
+        if let Some(servo) = &task.servo {
+            let encoder = simulation.encoder();
+            simulation.servo = Some(servo.at_rest(&member.initial.voltage, &encoder));
+        }
+        simulation
+    }
+
+    /// A simulation without servo from a motion at a voltage [V].
+    pub(crate) fn from_motion(
+        task: &'a Task<A, N>,
+        member: &'a Member<'a, N>,
+        plant: Plant<A, S, G, N, EFFECTS>,
+        motion: Motion<S, N>,
+        voltage: [S; N],
+    ) -> Self {
         let effective_voltage =
             std::array::from_fn(|i| plant.joints[i].effective_voltage(voltage[i]));
         let lag = |joint: &Joint<S, G>| joint.effects.drive_lag.is_some();
@@ -113,23 +128,18 @@ impl<'a, A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>
             member,
             has_drive_lag: plant.joints.iter().any(lag),
             plant,
-            current,
+            current: task.config.current_loop(task.clock.step),
             has_held_motors: has_held_motors(&motion),
             target: motion.torque,
             motion,
             voltage,
             drive_state: effective_voltage,
-            effective_voltage,
             servo: None,
             sensors: None,
             spans: Vec::new(),
             record: vec![Vec::with_capacity(task.clock.samples); task.record.len()],
-            diverged: None,
+            diverged: [None; MAX_LANES],
         };
-        if let Some(servo) = &task.servo {
-            let encoder = simulation.encoder();
-            simulation.servo = Some(servo.at_rest(&member.initial.voltage, &encoder));
-        }
         let (arm, state) = (&simulation.plant.arm, &simulation.motion.state);
         simulation.sensors = Sensors::at_rest(task, arm, state, &simulation.instant());
         simulation
@@ -176,6 +186,13 @@ impl<'a, A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>
 
     #[inline(always)]
     fn apply_command(&mut self, step: usize, servo_reads: bool) {
+        self.set_voltage(step, servo_reads);
+        self.hold();
+    }
+
+    /// Sets the voltages of this instant.
+    #[inline(always)]
+    pub(crate) fn set_voltage(&mut self, step: usize, servo_reads: bool) {
         let tick = step / self.task.clock.steps_per_tick;
         let feed_forward = &self.member.feed_forward[tick];
         let encoder = self.encoder();
@@ -193,33 +210,35 @@ impl<'a, A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>
             }
             (None, _) => self.voltage = feed_forward.map(S::splat),
         }
-        for i in 0..N {
-            self.effective_voltage[i] = self.plant.joints[i].effective_voltage(self.voltage[i]);
-        }
-        self.hold();
     }
 
-    /// Sets the target torques of the next step.
+    /// Sets the target torques of the next step, and releases motors that these move.
     #[inline(always)]
     pub(crate) fn hold(&mut self) {
-        for i in 0..N {
-            let (effective_voltage, memory) = (self.effective_voltage[i], &mut self.drive_state[i]);
-            let joint = &self.plant.joints[i];
-            let effective_voltage =
-                joint.hold_voltage(effective_voltage, memory, self.task.clock.step);
-            let torque = effective_voltage * self.current.torque_per_volt[i];
-            self.target[i] = torque;
-            if self.current.bandwidth[i].is_infinite() {
-                self.motion.torque[i] = torque;
-            }
-        }
+        self.set_targets();
         if self.has_held_motors {
             self.release();
         }
     }
 
+    /// Sets the target torques of the next step.
+    #[inline(always)]
+    pub(crate) fn set_targets(&mut self) {
+        for i in 0..N {
+            let joint = &self.plant.joints[i];
+            let effective_voltage = joint.effective_voltage(self.voltage[i]);
+            let memory = &mut self.drive_state[i];
+            let held = joint.hold_voltage(effective_voltage, memory, self.task.clock.step);
+            let torque = held * self.current.torque_per_volt[i];
+            self.target[i] = torque;
+            if self.current.bandwidth[i].is_infinite() {
+                self.motion.torque[i] = torque;
+            }
+        }
+    }
+
     /// Releases sticking motors whose torque has jumped beyond the friction limit.
-    fn release(&mut self) {
+    pub(crate) fn release(&mut self) {
         let Motion {
             state,
             torque,
@@ -233,6 +252,23 @@ impl<'a, A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>
     /// by event.
     #[inline(always)]
     pub(crate) fn advance(&mut self, now: &Instant<A, S, N>, watch: &mut impl Watch<S, N>) {
+        let (state, torque, margins) = self.smooth_step(now, watch);
+        if smallest(&margins).any_negative() {
+            self.repeat_step(&margins);
+        } else {
+            self.spans.clear();
+            self.motion.state.copy_from::<EFFECTS>(&state);
+            self.motion.torque = torque;
+        }
+    }
+
+    /// State and torques after a step with unchanged modes, and the margins of these.
+    #[inline(always)]
+    pub(crate) fn smooth_step(
+        &self,
+        now: &Instant<A, S, N>,
+        watch: &mut impl Watch<S, N>,
+    ) -> (State<S, N>, [S; N], [S; N]) {
         let torque = self.current.over_step(&self.motion.torque, &self.target);
         let h = S::splat(self.task.clock.step);
         let modes = &self.motion.modes;
@@ -242,23 +278,15 @@ impl<'a, A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>
         let margins = self
             .plant
             .margins(&state, &torque.end, modes, self.has_held_motors);
-        let mut smallest_margin = margins[0];
-        for margin in &margins[1..] {
-            smallest_margin = smallest_margin.min(*margin);
-        }
-        self.spans.clear();
-        if smallest_margin.any_negative() {
-            self.repeat_step();
-        } else {
-            self.motion.state.copy_from::<EFFECTS>(&state);
-            self.motion.torque = torque.end;
-        }
+        (state, torque.end, margins)
     }
 
     #[inline(never)]
-    fn repeat_step(&mut self) {
+    pub(crate) fn repeat_step(&mut self, margins: &[S; N]) {
+        self.spans.clear();
         self.motion = self.plant.advance(
             &self.motion,
+            margins,
             &self.target,
             &self.current,
             self.task.clock.step,
@@ -297,7 +325,7 @@ impl<'a, A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>
                 Quantity::Accelerometer => self.reading(0),
                 Quantity::Gyro => self.reading(1),
                 Quantity::LinkSensor(k) => self.link_readings(k),
-                Quantity::Sliding => state.motor_velocity.map(|one| sign(one.lane(0))),
+                Quantity::Sliding => state.motor_velocity.map(signs),
             };
             self.record[k].push(row);
         }
@@ -323,17 +351,30 @@ impl<'a, A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>
     #[inline(always)]
     fn check_finite(&mut self, step: usize) {
         let state = &self.motion.state;
-        let sum = (0..N)
-            .map(|i| state.motor_velocity[i].lane(0) + state.link_velocity[i].lane(0))
-            .sum::<f64>();
-        if !sum.is_finite() && self.diverged.is_none() {
-            let time = step as f64 * self.task.clock.step;
-            self.diverged = Some(Diverged { time });
+        for lane in 0..S::LANES {
+            let sum = (0..N)
+                .map(|i| state.motor_velocity[i].lane(lane) + state.link_velocity[i].lane(lane))
+                .sum::<f64>();
+            if !sum.is_finite() && self.diverged[lane].is_none() {
+                let time = step as f64 * self.task.clock.step;
+                self.diverged[lane] = Some(Diverged { time });
+            }
         }
     }
 
     pub(crate) fn result(self) -> Result<RecordOf<S, N>, Diverged> {
-        self.diverged.map_or(Ok(self.record), Err)
+        self.diverged[0].map_or(Ok(self.record), Err)
+    }
+
+    /// Result in one lane, up to the end of a clock.
+    pub(crate) fn lane_result(&self, lane: usize, clock: &Clock) -> Result<Record<N>, Diverged> {
+        let end = clock.steps() as f64 * clock.step;
+        if let Some(diverged) = self.diverged[lane].filter(|one| one.time <= end) {
+            return Err(diverged);
+        }
+        let row = |row: &[S; N]| row.map(|value| value.lane(lane));
+        let rows = |rows: &Vec<[S; N]>| rows[..clock.samples].iter().map(row).collect();
+        Ok(self.record.iter().map(rows).collect())
     }
 }
 
@@ -349,6 +390,26 @@ works! {
         = Simulation::apply_command;
 }
 
-fn has_held_motors<S: Real, const N: usize>(motion: &Motion<S, N>) -> bool {
-    motion.modes.free.iter().any(|free| free.lane(0) < 0.5)
+/// Whether friction holds any motor.
+pub(crate) fn has_held_motors<S: Real, const N: usize>(motion: &Motion<S, N>) -> bool {
+    motion.modes.free.iter().any(|&free| (free - 0.5).any_negative())
+}
+
+/// The smallest of the numbers of several joints.
+#[inline(always)]
+pub(crate) fn smallest<S: Real, const N: usize>(numbers: &[S; N]) -> S {
+    let mut smallest = numbers[0];
+    for number in &numbers[1..] {
+        smallest = smallest.min(*number);
+    }
+    smallest
+}
+
+/// +1, -1 or 0 in each lane, without derivatives.
+fn signs<S: Real>(numbers: S) -> S {
+    let mut all = S::splat(0.0);
+    for lane in 0..S::LANES {
+        all.set_lane(lane, sign::<f64>(numbers.lane(lane)));
+    }
+    all
 }

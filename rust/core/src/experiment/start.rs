@@ -24,11 +24,7 @@ pub(crate) fn start<A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS:
         motor_velocity: each(Source::MotorVelocity, &initial.motor_velocity),
         link_angle: each(Source::LinkAngle, &initial.link_angle.unwrap_or([0.0; N])),
         link_velocity: each(Source::LinkVelocity, &initial.link_velocity),
-        hysteresis: [S::splat(0.0); N],
-        part_angle: [S::splat(0.0); N],
-        part_velocity: [S::splat(0.0); N],
-        base_torque: [S::splat(0.0); N],
-        base_torque_rate: [S::splat(0.0); N],
+        ..State::zero()
     };
     if initial.link_angle.is_none() {
         let equilibrium = solve_equilibrium(plant, &state.motor_angle);

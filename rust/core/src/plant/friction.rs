@@ -37,7 +37,7 @@ use crate::scalar::{Real, run_out_of_line, works};
 const MAX_STEP_EVENTS: usize = 12;
 
 /// Fraction of a span after which the initial slope of a margin is evaluated.
-const SLOPE_PROBE_FRACTION: f64 = 1e-4;
+const SLOPE_PROBE: f64 = 1e-4;
 
 /// Motion of one arm: state, motor torques and friction modes.
 #[derive(Clone, Copy, Debug)]
@@ -48,6 +48,58 @@ pub struct Motion<R, const N: usize> {
     pub torque: [R; N],
     /// Friction modes.
     pub modes: Modes<R, N>,
+}
+
+impl<R: Real, const N: usize> Motion<R, N> {
+    /// At rest with all angles and torques zero.
+    pub(crate) fn zero() -> Self {
+        let zero = [R::splat(0.0); N];
+        let modes = Modes {
+            direction: zero,
+            free: zero,
+        };
+        Self {
+            state: State::zero(),
+            torque: zero,
+            modes,
+        }
+    }
+
+    /// The motion in one lane, without effects.
+    pub(crate) fn lane<S: Real>(&self, lane: usize) -> Motion<S, N> {
+        let one = |numbers: &[R; N]| numbers.map(|number| S::splat(number.lane(lane)));
+        let (state, modes) = (&self.state, &self.modes);
+        Motion {
+            state: State {
+                motor_angle: one(&state.motor_angle),
+                motor_velocity: one(&state.motor_velocity),
+                link_angle: one(&state.link_angle),
+                link_velocity: one(&state.link_velocity),
+                ..State::zero()
+            },
+            torque: one(&self.torque),
+            modes: Modes {
+                direction: one(&modes.direction),
+                free: one(&modes.free),
+            },
+        }
+    }
+
+    /// Sets the motion in one lane, without effects.
+    pub(crate) fn set_lane<S: Real>(&mut self, lane: usize, one: &Motion<S, N>) {
+        let set = |numbers: &mut [R; N], to: &[S; N]| {
+            for i in 0..N {
+                numbers[i].set_lane(lane, to[i].lane(0));
+            }
+        };
+        set(&mut self.state.motor_angle, &one.state.motor_angle);
+        set(&mut self.state.motor_velocity, &one.state.motor_velocity);
+        set(&mut self.state.link_angle, &one.state.link_angle);
+        set(&mut self.state.link_velocity, &one.state.link_velocity);
+        set(&mut self.torque, &one.torque);
+        set(&mut self.modes.direction, &one.modes.direction);
+        set(&mut self.modes.free, &one.modes.free);
+    }
 }
 
 impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A, R, G, N, EFFECTS> {
@@ -141,11 +193,12 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
         margin
     }
 
-    /// Advances the motion by `h` [s] through all events; `spans` receives the spans between
-    /// them.
+    /// Advances the motion by `h` [s] through all events, if the modes have given margins after
+    /// a step without events; `spans` receives the spans between them.
     pub fn advance(
         &self,
         motion: &Motion<R, N>,
+        margins: &[R; N],
         target: &[R; N],
         current: &CurrentLoop<R, N>,
         h: f64,
@@ -153,23 +206,27 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
     ) -> Motion<R, N> {
         let mut now = *motion;
         let mut remaining = R::splat(h);
-        for _ in 0..MAX_STEP_EVENTS {
+        let mut margins = *margins;
+        for count in 0..MAX_STEP_EVENTS {
             let integrator = SpanIntegrator::new(self, &now, target, current, remaining);
-            let (end, margins) = integrator.end(R::splat(1.0));
+            let mut end = now;
+            if count > 0 {
+                (end, margins) = integrator.end(R::splat(1.0));
+            }
             let event = integrator.first_event(&margins);
-            spans.push(Span::new(&now, remaining, event));
-            let Some((part, joint)) = event else {
+            spans.push(Span::new(&now, remaining, event.map(|(event, _)| event)));
+            let Some(((part, joint), mut at_event)) = event else {
                 return end;
             };
             // a mode that does not fit from the beginning ends at a fixed time
-            let part = if part > 0.0 {
-                R::root(part, |part| integrator.end(part).1[joint])
-            } else {
-                R::splat(part)
-            };
-            now = integrator.end(part).0;
+            let mut length = R::splat(part);
+            if R::HAS_DERIVATIVE && part > 0.0 {
+                length = R::root(part, |part| integrator.end(part).1[joint]);
+                at_event = integrator.end(length).0;
+            }
+            now = at_event;
             self.change_mode(&mut now, joint);
-            remaining = remaining * (-part + 1.0);
+            remaining = remaining * (-length + 1.0);
             if remaining.lane(0) <= 1e-15 * h {
                 return now;
             }
@@ -340,84 +397,162 @@ impl<'a, A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool>
         (motion, margins)
     }
 
-    /// The first event of the span, if there is one.
-    fn first_event(&self, margins_at_end: &[R; N]) -> Option<Event> {
+    /// The first event of the span, if there is one, with the motion at that event.
+    fn first_event(&self, margins_at_end: &[R; N]) -> Option<(Event, Motion<R, N>)> {
         let at_begin = R::scope(BeginMarginWork(self));
-        (0..self.plant.arm.joints())
-            .filter(|&i| margins_at_end[i].lane(0) < 0.0)
-            .map(|i| {
-                let ends = [at_begin[i].lane(0), margins_at_end[i].lane(0)];
-                let margin = |part| self.end(R::splat(part)).1[i].lane(0);
-                let slope = if self.plant.joints[i].settling_time.lane(0) > 0.0 {
-                    (margin(SLOPE_PROBE_FRACTION) - ends[0]) / SLOPE_PROBE_FRACTION
-                } else {
-                    // the margin of a sliding motor is its speed
-                    let slope = self.begin.acceleration.motor[i] * self.from.modes.direction[i];
-                    slope.lane(0) * self.length.lane(0)
-                };
-                (root(margin, ends, slope), i)
-            })
-            .min_by(|a, b| a.0.total_cmp(&b.0))
+        let mut first: Option<(Event, Motion<R, N>)> = None;
+        let mut margins_at_end = *margins_at_end;
+        for i in 0..self.plant.arm.joints() {
+            // before the first event found so far
+            let whole = first.map_or(1.0, |(event, _)| event.0);
+            if margins_at_end[i].lane(0) >= 0.0 || whole == 0.0 {
+                continue;
+            }
+            let mut last = None;
+            let margin = |part: f64| {
+                let (motion, margins) = self.end(R::splat(part * whole));
+                last = Some((part, motion, margins));
+                margins[i].lane(0)
+            };
+            let ends = [at_begin[i].lane(0), margins_at_end[i].lane(0)];
+            // the margin of a sliding motor that stops instantly is its speed
+            let stops_instantly = self.plant.joints[i].settling_time.lane(0) == 0.0;
+            let slope = stops_instantly.then(|| {
+                let slope = self.begin.acceleration.motor[i] * self.from.modes.direction[i];
+                slope.lane(0) * self.length.lane(0) * whole
+            });
+            let part = root(margin, ends, slope);
+            let (motion, margins) = match last {
+                Some((at, motion, margins)) if at == part => (motion, margins),
+                _ => self.end(R::splat(part * whole)),
+            };
+            first = Some(((part * whole, i), motion));
+            margins_at_end = margins;
+        }
+        first
     }
 }
 
 /// The root on [0, 1] of a function that is negative at the end.
 ///
-/// The first estimate is the root of the parabola through both ends with the given initial slope.
-/// Regula falsi in the form of Anderson and Bjorck follows: it keeps a bracket and scales down the
-/// value at the end that stays, and therefore converges superlinearly. The value at the root is at
-/// most 1e-12 of those at the ends.
-fn root(f: impl Fn(f64) -> f64, [begin, end]: [f64; 2], slope: f64) -> f64 {
+/// Each estimate is the root of the polynomial through all values so far, and the `slope` at 0 if it
+/// is given, unless that is outside of the bracket. The value at the root is at most 1e-12 of those
+/// at the ends.
+fn root(mut f: impl FnMut(f64) -> f64, [begin, end]: [f64; 2], slope: Option<f64>) -> f64 {
     let tiny = 1e-12 * (begin.abs() + end.abs());
-    let bend = end - begin - slope;
-    let (mut kept, mut f_kept) = (0.0, begin);
-    let (mut last, mut f_last) = (1.0, end);
+    let mut through = Polynomial::new((0.0, begin));
+    if let Some(slope) = slope {
+        through.add_slope(slope);
+    }
+    through.add(1.0, end);
+    let (mut positive, mut negative) = ((0.0, begin), (1.0, end));
     if begin <= tiny {
         // The function begins at zero, or below where a torque jumps. If it increases from that
         // point, the root is beyond the maximum, which may be before half of the parabola's span.
+        let slope = slope.unwrap_or_else(|| (f(SLOPE_PROBE) - begin) / SLOPE_PROBE);
+        let bend = end - begin - slope;
         if slope <= 0.0 || begin < -1e3 * tiny || bend >= 0.0 {
             return 0.0;
         }
         let mut part = -0.5 * slope / bend;
         let mut value = f(part);
         while value <= tiny {
-            (last, f_last) = (part, value);
+            negative = (part, value);
             part *= 0.25;
             if part < 1e-12 {
                 return 0.0;
             }
             value = f(part);
         }
-        (kept, f_kept) = (part, value);
+        positive = (part, value);
+        through.add(part, value);
     }
-    let discriminant = slope * slope - 4.0 * bend * begin;
-    // form of the quadratic formula without cancellation
-    let guess = if begin <= tiny {
-        -slope / bend
-    } else {
-        2.0 * begin / (discriminant.max(0.0).sqrt() - slope)
-    };
-    let chord = kept + (last - kept) * f_kept / (f_kept - f_last);
-    let mut next = if guess > kept && guess < last {
-        guess
-    } else {
-        chord
-    };
     for _ in 0..60 {
+        let (low, high) = (positive.0, negative.0);
+        if high - low < 1e-15 {
+            break;
+        }
+        let chord = low + (high - low) * positive.1 / (positive.1 - negative.1);
+        let estimate = through.root_near(chord);
+        let next = if estimate > low && estimate < high {
+            estimate
+        } else {
+            chord
+        };
         let value = f(next);
-        if value.abs() <= tiny || (next - last).abs() < 1e-15 {
+        if value.abs() <= tiny {
             return next;
         }
-        if value * f_last < 0.0 {
-            (kept, f_kept) = (last, f_last);
+        if value > 0.0 {
+            positive = (next, value);
         } else {
-            let factor = 1.0 - value / f_last;
-            f_kept *= if factor > 0.0 { factor } else { 0.5 };
+            negative = (next, value);
         }
-        (last, f_last) = (next, value);
-        next = last - f_last * (last - kept) / (f_last - f_kept);
+        if !through.add(next, value) {
+            through = Polynomial::new(positive);
+            through.add(negative.0, negative.1);
+        }
     }
-    last
+    positive.0
+}
+
+/// Most nodes of a [`Polynomial`].
+const MAX_NODES: usize = 6;
+
+/// A polynomial through the values at some nodes, in Newton's form.
+struct Polynomial {
+    coefficients: [f64; MAX_NODES],
+    nodes: [f64; MAX_NODES],
+    count: usize,
+}
+
+impl Polynomial {
+    /// A constant.
+    fn new((node, value): (f64, f64)) -> Self {
+        Self {
+            coefficients: [value; MAX_NODES],
+            nodes: [node; MAX_NODES],
+            count: 1,
+        }
+    }
+
+    /// Adds the slope at the first node, as the second value.
+    fn add_slope(&mut self, slope: f64) {
+        self.coefficients[1] = slope;
+        self.count = 2;
+    }
+
+    /// Adds the value at another node; returns whether there was room.
+    fn add(&mut self, node: f64, value: f64) -> bool {
+        if self.count == MAX_NODES {
+            return false;
+        }
+        let distances = self.nodes[..self.count].iter().map(|other| node - other);
+        self.coefficients[self.count] = (value - self.at(node)[0]) / distances.product::<f64>();
+        self.nodes[self.count] = node;
+        self.count += 1;
+        true
+    }
+
+    /// Value and slope.
+    fn at(&self, x: f64) -> [f64; 2] {
+        let [mut value, mut slope] = [0.0; 2];
+        for k in (0..self.count).rev() {
+            let distance = x - self.nodes[k];
+            slope = slope * distance + value;
+            value = value * distance + self.coefficients[k];
+        }
+        [value, slope]
+    }
+
+    /// A root near `x`, by Newton's method.
+    fn root_near(&self, mut x: f64) -> f64 {
+        for _ in 0..6 {
+            let [value, slope] = self.at(x);
+            x -= value / slope;
+        }
+        x
+    }
 }
 
 /// +1, -1 or 0.

@@ -60,6 +60,22 @@ impl<R: Real, const N: usize> Modes<R, N> {
 }
 
 impl<R: Real, const N: usize> State<R, N> {
+    /// All angles, velocities and states zero.
+    pub(crate) fn zero() -> Self {
+        let zero = [R::splat(0.0); N];
+        Self {
+            motor_angle: zero,
+            motor_velocity: zero,
+            link_angle: zero,
+            link_velocity: zero,
+            hysteresis: zero,
+            part_angle: zero,
+            part_velocity: zero,
+            base_torque: zero,
+            base_torque_rate: zero,
+        }
+    }
+
     /// Copies what a step changes.
     #[inline(always)]
     pub(crate) fn copy_from<const EFFECTS: bool>(&mut self, other: &Self) {

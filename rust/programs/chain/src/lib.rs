@@ -1,12 +1,12 @@
 //! Programs of serial chains of up to seven joints.
 
 use strainwave_core::arm::{Arm as _, MAX_CHAIN_JOINTS, SerialChain};
-use strainwave_core::experiment::known_length::{padded, with_known_length};
+use strainwave_core::experiment::known_length::{all_with_known_length, padded, with_known_length};
 use strainwave_core::experiment::{Diverged, Member, Record, Task};
 use strainwave_core::joint::gear::{AllLaws, Slopes};
 use strainwave_core::program::{
-    Differentiation, FastPrograms, GeneralPrograms, dual_numbers_avx512, forward, forward_avx512,
-    simulate,
+    Case, Differentiation, FastPrograms, GeneralPrograms, SimulationTogether, dual_numbers_avx512,
+    forward, forward_avx512, simulate, simulate_together, simulate_together_avx512,
 };
 use strainwave_core::sensitivity::{Request, Sensitivities};
 
@@ -23,6 +23,8 @@ pub static GENERAL: GeneralPrograms<Arm, MAX_CHAIN_JOINTS> = GeneralPrograms {
 /// Programs for linear and three-slope gears, of the most frequent lengths.
 pub static FAST: FastPrograms<Arm, MAX_CHAIN_JOINTS> = FastPrograms {
     simulation: simulate_chain,
+    together: Some(simulate_chains),
+    together_avx512: Some(simulate_chains_avx512),
     forward: forward_chain,
     forward_avx512: forward_chain_avx512,
 };
@@ -45,6 +47,44 @@ fn simulate_known<const LENGTH: usize>(
 ) -> Result<Record<MAX_CHAIN_JOINTS>, Diverged> {
     let simulation = simulate::<Known<LENGTH>, Slopes, LENGTH, false>;
     with_known_length(task, member, simulation).map(|record| padded(&record))
+}
+
+type Recordings = Vec<Result<Record<MAX_CHAIN_JOINTS>, Diverged>>;
+
+fn simulate_chains(cases: &[Case<'_, Arm, MAX_CHAIN_JOINTS>]) -> Recordings {
+    match cases[0].0.config.arm.joints() {
+        3 => all_known(cases, simulate_together::<Known<3>, Slopes, 3>),
+        6 => all_known(cases, simulate_together::<Known<6>, Slopes, 6>),
+        7 => all_known(cases, simulate_together::<Known<7>, Slopes, 7>),
+        _ => one_by_one(cases),
+    }
+}
+
+fn simulate_chains_avx512(cases: &[Case<'_, Arm, MAX_CHAIN_JOINTS>]) -> Recordings {
+    match cases[0].0.config.arm.joints() {
+        3 => all_known(cases, simulate_together_avx512::<Known<3>, Slopes, 3>),
+        6 => all_known(cases, simulate_together_avx512::<Known<6>, Slopes, 6>),
+        7 => all_known(cases, simulate_together_avx512::<Known<7>, Slopes, 7>),
+        _ => one_by_one(cases),
+    }
+}
+
+fn all_known<const LENGTH: usize>(
+    cases: &[Case<'_, Arm, MAX_CHAIN_JOINTS>],
+    program: SimulationTogether<Known<LENGTH>, LENGTH>,
+) -> Recordings {
+    let recordings = all_with_known_length(cases, program);
+    recordings
+        .into_iter()
+        .map(|one| one.map(|record| padded(&record)))
+        .collect()
+}
+
+fn one_by_one(cases: &[Case<'_, Arm, MAX_CHAIN_JOINTS>]) -> Recordings {
+    cases
+        .iter()
+        .map(|(task, member)| simulate_chain(task, member))
+        .collect()
 }
 
 type Derivatives = Result<Sensitivities<MAX_CHAIN_JOINTS>, Diverged>;

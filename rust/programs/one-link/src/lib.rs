@@ -11,6 +11,8 @@ pub static GENERAL: GeneralPrograms<OneLink, 1> = GeneralPrograms::compile();
 /// takes less than 10 % longer.
 pub static FAST: FastPrograms<OneLink, 1> = FastPrograms {
     simulation: simulate::<OneLink, Slopes, 1, false>,
+    together: None,
+    together_avx512: None,
     forward: GENERAL.forward,
     forward_avx512: forward_avx512::<OneLink, Slopes, 1, true>,
 };

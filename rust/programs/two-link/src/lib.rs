@@ -2,7 +2,10 @@
 
 use strainwave_core::arm::TwoLink;
 use strainwave_core::joint::gear::Slopes;
-use strainwave_core::program::{FastPrograms, GeneralPrograms, forward_avx512, simulate};
+use strainwave_core::program::{
+    FastPrograms, GeneralPrograms, forward_avx512, simulate, simulate_together,
+    simulate_together_avx512,
+};
 
 type Arm = TwoLink<true>;
 
@@ -13,6 +16,8 @@ pub static GENERAL: GeneralPrograms<Arm, 2> = GeneralPrograms::compile();
 /// takes less than 10 % longer.
 pub static FAST: FastPrograms<Arm, 2> = FastPrograms {
     simulation: simulate::<Arm, Slopes, 2, false>,
+    together: Some(simulate_together::<Arm, Slopes, 2>),
+    together_avx512: Some(simulate_together_avx512::<Arm, Slopes, 2>),
     forward: GENERAL.forward,
     forward_avx512: forward_avx512::<Arm, Slopes, 2, true>,
 };
