@@ -46,6 +46,10 @@ _Servo = (
 class Experiment:
     """Inputs of an experiment, its initial state, and the quantities that it records."""
 
+    @property
+    def clock(self) -> tuple[float, int, int, int, int]:
+        """Step [s], steps per tick, per servo reading and per sample, and number of samples."""
+
 @final
 class Arm:
     """An arm with its known constants; parameters are flat lists in `parameter_names`' order."""
@@ -122,13 +126,17 @@ class Arm:
         `link_sensors` are names for `record`, whether each is a gyro, and weights (n_joints,
         n_signals) of the links' signals. Raises ValueError for sizes that do not fit.
         """
+    @property
+    def lanes(self) -> int:
+        """Numbers in a register: so many experiments take little longer than one."""
     def simulate(
-        self, parameters: NDArray[np.float64], experiment: Experiment
-    ) -> dict[str, NDArray[np.float64]]:
-        """Arms in one experiment, a row of `parameters` each: (n_arms, samples, n_joints) arrays.
+        self, parameters: NDArray[np.float64], experiments: Sequence[Experiment]
+    ) -> list[dict[str, NDArray[np.float64]]]:
+        """Experiments, each with its row of `parameters`: arrays (samples, n_joints) by quantity.
 
-        Raises ValueError for sizes that do not fit and values no arm can have, FloatingPointError
-        where a motion leaves the finite numbers.
+        Neighbours with equal clocks and quantities share registers; the GIL is released. Raises
+        ValueError for sizes that do not fit and values no arm can have, FloatingPointError where a
+        motion leaves the finite numbers.
         """
     def sensitivities(
         self,

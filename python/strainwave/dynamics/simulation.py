@@ -10,8 +10,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
-from typing import Any
+from functools import lru_cache, partial
+from itertools import groupby
+from typing import Any, cast
 
 import numpy as np
 
@@ -24,7 +25,7 @@ from strainwave.domain.arm.parameter_table import base_name, of_record
 from strainwave.domain.keys import Key, Values
 from strainwave.dynamics.arm import MAX_TIME_STEP, Arm, core_errors
 from strainwave.errors import InvalidInput
-from strainwave.numerics.parallel import raise_if_stopped
+from strainwave.numerics.parallel import even_groups, raise_if_stopped, run_parallel
 
 _CLOCK_TOLERANCE = 2e-4  # relative difference of two crystal oscillators of one nominal frequency
 _STRICT_CLOCK_TOLERANCE = 1e-6  # many short candidate steps would satisfy the loose tolerance
@@ -96,17 +97,18 @@ def simulate(
     is missing or impossible, or if the clocks have no common step. Raises NumericalFailure if the
     motion diverges.
     """
-    recorded = simulate_arms(
+    run = plan_run(
         arm,
-        [values],
+        values,
         drive,
         sample_time=sample_time,
         samples=samples,
         record=record,
         max_time_step=min(max_time_step, arm.max_time_step(values)),
     )
+    (recorded,) = simulate_runs([run])
     time: FloatArray = sample_time * np.arange(samples, dtype=np.float64)
-    return Trajectory(time, {name: recorded[name][0] for name in record})
+    return Trajectory(time, recorded)
 
 
 def simulate_arms(
@@ -119,17 +121,75 @@ def simulate_arms(
     record: Sequence[Quantity],
     max_time_step: float = MAX_TIME_STEP,
 ) -> dict[Quantity, FloatArray]:
-    """Simulate one experiment on many arms, in parallel vector lanes and threads.
+    """Simulate one experiment on many arms, as `simulate_runs` does.
 
     Arguments and errors are those of `simulate`; values may be parameter vectors of the arm. Arrays
     of the result have shape (n_arms, n_samples, n_joints).
     """
-    vectors = np.array([_vector(arm, values) for values in arms])
     experiment = _experiment(arm, drive, (sample_time, samples), record, max_time_step)
-    with core_errors():
-        raise_if_stopped()
-        recorded = arm.core.simulate(vectors, experiment)
-    return {name: recorded[name] for name in record}
+    recorded = simulate_runs([PlannedRun(arm, _vector(arm, one), experiment) for one in arms])
+    return {name: np.stack([run[name] for run in recorded]) for name in record}
+
+
+Samples = dict[Quantity, FloatArray]
+"""Arrays (n_samples, n_joints) by quantity."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedRun:
+    """One experiment on one arm, checked and ready for the core."""
+
+    arm: Arm
+    parameters: FloatArray  # in the order of the core
+    experiment: _core.Experiment
+
+
+def plan_run(
+    arm: Arm,
+    values: Values,
+    drive: Drive,
+    *,
+    sample_time: float,
+    samples: int,
+    record: Sequence[Quantity],
+    max_time_step: float,
+) -> PlannedRun:
+    """Prepare one experiment on one arm; arguments and errors are those of `simulate`."""
+    experiment = _experiment(arm, drive, (sample_time, samples), record, max_time_step)
+    return PlannedRun(arm, _vector(arm, values), experiment)
+
+
+def simulate_runs(runs: Sequence[PlannedRun]) -> list[Samples]:
+    """Simulate experiments in threads, several per vector register.
+
+    Runs of one arm with equal clocks share registers, best if they are equally long. Raises
+    InvalidInput if a parameter is impossible, NumericalFailure if a motion diverges.
+    """
+    cores = {id(run.arm.core): run.arm.core for run in runs}
+
+    def alike(k: int) -> tuple[int, tuple[float, ...]]:
+        return id(runs[k].arm.core), runs[k].experiment.clock
+
+    order = sorted(range(len(runs)), key=alike, reverse=True)
+    jobs: list[tuple[_core.Arm, list[int]]] = []
+    for identity, same in groupby(order, key=lambda k: id(runs[k].arm.core)):
+        members = list(same)
+        groups = even_groups(len(members), cores[identity].lanes)
+        split = np.array_split(np.array(members), groups)
+        jobs += [(cores[identity], places.tolist()) for places in split]
+
+    def simulated(core: _core.Arm, places: list[int]) -> list[Samples]:
+        vectors = np.array([runs[k].parameters for k in places])
+        experiments = [runs[k].experiment for k in places]
+        with core_errors():
+            return cast("list[Samples]", core.simulate(vectors, experiments))
+
+    results: list[Samples] = [{}] * len(runs)
+    parts = run_parallel([partial(simulated, *job) for job in jobs])
+    for (_, chosen), part in zip(jobs, parts, strict=True):
+        for k, recorded in zip(chosen, part, strict=True):
+            results[k] = recorded
+    return results
 
 
 def _vector(arm: Arm, values: Values | FloatArray) -> FloatArray:

@@ -174,6 +174,14 @@ def run_parallel(jobs: Sequence[Callable[[], Result]]) -> list[Result]:
         pool.shutdown(wait=True, cancel_futures=True)
 
 
+def even_groups(n_jobs: int, largest: int) -> int:
+    """Number of groups of at most `largest` jobs that occupy all threads evenly."""
+    group = _group()
+    threads = (group and group.threads) or os.cpu_count() or 1
+    rounds = -(-n_jobs // (largest * threads))
+    return min(n_jobs, rounds * threads)
+
+
 def both(first: Callable[[], First], second: Callable[[], Second]) -> tuple[First, Second]:
     """Results of two jobs run by `run_parallel`."""
     jobs: list[Callable[[], First | Second]] = [first, second]

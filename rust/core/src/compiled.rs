@@ -11,7 +11,7 @@ use crate::arm::{Arm, Kinematics, Name};
 use crate::experiment::{Clock, Diverged, Initial, Member, Quantity, Record, Source, Task};
 use crate::plant::config::{Config, InvalidParameter};
 use crate::plant::rigid;
-use crate::program::{Programs, Width};
+use crate::program::{Case, Programs, Width};
 use crate::sensitivity::Request;
 use crate::sensors::decimation::Decimation;
 
@@ -147,11 +147,14 @@ pub trait CompiledArm: Send + Sync {
     /// The first impossible value.
     fn check(&self, parameters: &[f64]) -> Result<(), InvalidParameter>;
 
-    /// Simulates one experiment.
+    /// Numbers in a register: so many experiments take little longer than one.
+    fn lanes(&self) -> usize;
+    /// Simulates experiments, each with its parameters. Neighbours with equal clocks and quantities
+    /// share registers.
     ///
     /// # Errors
-    /// The motion diverged.
-    fn simulate(&self, experiment: &Experiment, parameters: &[f64]) -> Result<Recording, Diverged>;
+    /// The first motion that diverged.
+    fn simulate(&self, cases: &[(&Experiment, &[f64])]) -> Result<Vec<Recording>, Diverged>;
     /// Simulates one experiment with derivatives of all samples, or of rows behind a low-pass.
     ///
     /// # Errors
@@ -365,14 +368,25 @@ impl<A: Arm<N>, const N: usize> CompiledArm for Compiled<A, N> {
         self.config.check(parameters)
     }
 
-    fn simulate(&self, experiment: &Experiment, parameters: &[f64]) -> Result<Recording, Diverged> {
-        let inputs = experiment.inputs(self.joints());
-        let (task, member) = (
-            experiment.task(&self.config),
-            experiment.member(parameters, &inputs),
-        );
-        let record = self.programs.simulate(&task, &member, self.width)?;
-        Ok(recording(&record, self.joints()))
+    fn lanes(&self) -> usize {
+        self.width.lanes()
+    }
+
+    fn simulate(&self, cases: &[(&Experiment, &[f64])]) -> Result<Vec<Recording>, Diverged> {
+        let inputs = cases.iter().map(|(one, _)| one.inputs(self.joints()));
+        let inputs: Vec<_> = inputs.collect();
+        let case = |((experiment, parameters), inputs)| -> Case<'_, A, N> {
+            let (experiment, parameters): (&Experiment, &[f64]) = (experiment, parameters);
+            (
+                experiment.task(&self.config),
+                experiment.member(parameters, inputs),
+            )
+        };
+        let all: Vec<_> = cases.iter().copied().zip(&inputs).map(case).collect();
+        let records = self.programs.simulate_all(&all, self.width).into_iter();
+        records
+            .map(|record| Ok(recording(&record?, self.joints())))
+            .collect()
     }
 
     fn sensitivities(

@@ -147,39 +147,42 @@ impl Arm {
         })
     }
 
+    #[getter]
+    fn lanes(&self) -> usize {
+        self.0.lanes()
+    }
+
     fn simulate<'py>(
         &self,
         py: Python<'py>,
         parameters: Matrix<'py>,
-        experiment: &Experiment,
-    ) -> PyResult<Bound<'py, PyDict>> {
-        let core = experiment.of(self.n_joints())?;
-        let arms: Vec<Vec<f64>> = parameters
-            .as_array()
-            .rows()
-            .into_iter()
-            .map(|row| row.to_vec())
-            .collect();
-        if arms.is_empty() {
-            let text = "parameters has no rows: expected one for each arm";
+        experiments: Vec<PyRef<'py, Experiment>>,
+    ) -> PyResult<Vec<Bound<'py, PyDict>>> {
+        let arms = parameters.as_array();
+        if arms.nrows() != experiments.len() {
+            let (rows, count) = (arms.nrows(), experiments.len());
+            let text = format!("parameters has {rows} rows: expected one for each of {count} experiments");
             return Err(PyValueError::new_err(text));
         }
-        for values in &arms {
+        let arms: Vec<Vec<f64>> = arms.rows().into_iter().map(|row| row.to_vec()).collect();
+        let mut cases = Vec::with_capacity(arms.len());
+        for (experiment, values) in experiments.iter().zip(&arms) {
             self.check(values)?;
+            cases.push((experiment.of(self.n_joints())?, &values[..]));
         }
-        let simulate = |values: &Vec<f64>| self.0.simulate(core, values);
         let recordings = py
-            .detach(|| arms.iter().map(simulate).collect::<Result<Vec<_>, _>>())
+            .detach(|| self.0.simulate(&cases))
             .map_err(divergence)?;
-        let shape = [arms.len(), core.clock.samples, self.n_joints()];
-        let result = PyDict::new(py);
-        for (k, name) in experiment.record.iter().enumerate() {
-            let column = recordings.iter().flat_map(|recording| &recording[k]);
-            let array: Bound<'py, PyArray3<f64>> =
-                PyArray1::from_iter(py, column.copied()).reshape(shape)?;
-            result.set_item(name, array)?;
+        let mut all = Vec::with_capacity(cases.len());
+        for (experiment, recording) in experiments.iter().zip(recordings) {
+            let shape = [experiment.core.clock.samples, self.n_joints()];
+            let result = PyDict::new(py);
+            for (name, column) in experiment.record.iter().zip(recording) {
+                result.set_item(name, PyArray1::from_vec(py, column).reshape(shape)?)?;
+            }
+            all.push(result);
         }
-        Ok(result)
+        Ok(all)
     }
 
     #[pyo3(signature = (parameters, experiment, with_respect_to, *, taps=None, samples_per_row=1))]

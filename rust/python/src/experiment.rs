@@ -32,6 +32,21 @@ pub struct Experiment {
     pub record: Vec<String>,
 }
 
+#[pymethods]
+impl Experiment {
+    #[getter]
+    fn clock(&self) -> (f64, usize, usize, usize, usize) {
+        let clock = &self.core.clock;
+        (
+            clock.step,
+            clock.steps_per_tick,
+            clock.steps_per_servo,
+            clock.steps_per_sample,
+            clock.samples,
+        )
+    }
+}
+
 impl Experiment {
     /// The experiment on an arm. Raises ValueError for another number of joints.
     pub fn of(&self, joints: usize) -> PyResult<&compiled::Experiment> {

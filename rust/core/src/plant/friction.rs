@@ -437,7 +437,7 @@ impl<'a, A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool>
 ///
 /// Each estimate is the root of the polynomial through all values so far, and the `slope` at 0 if it
 /// is given, unless that is outside of the bracket. The value at the root is at most 1e-12 of those
-/// at the ends.
+/// at the ends, or its rounding error.
 fn root(mut f: impl FnMut(f64) -> f64, [begin, end]: [f64; 2], slope: Option<f64>) -> f64 {
     let tiny = 1e-12 * (begin.abs() + end.abs());
     let mut through = Polynomial::new((0.0, begin));
@@ -449,7 +449,11 @@ fn root(mut f: impl FnMut(f64) -> f64, [begin, end]: [f64; 2], slope: Option<f64
     if begin <= tiny {
         // The function begins at zero, or below where a torque jumps. If it increases from that
         // point, the root is beyond the maximum, which may be before half of the parabola's span.
-        let slope = slope.unwrap_or_else(|| (f(SLOPE_PROBE) - begin) / SLOPE_PROBE);
+        let slope = slope.unwrap_or_else(|| {
+            let value = f(SLOPE_PROBE);
+            through.add(SLOPE_PROBE, value);
+            (value - begin) / SLOPE_PROBE
+        });
         let bend = end - begin - slope;
         if slope <= 0.0 || begin < -1e3 * tiny || bend >= 0.0 {
             return 0.0;
@@ -467,11 +471,9 @@ fn root(mut f: impl FnMut(f64) -> f64, [begin, end]: [f64; 2], slope: Option<f64
         positive = (part, value);
         through.add(part, value);
     }
+    let mut last = f64::INFINITY;
     for _ in 0..60 {
         let (low, high) = (positive.0, negative.0);
-        if high - low < 1e-15 {
-            break;
-        }
         let chord = low + (high - low) * positive.1 / (positive.1 - negative.1);
         let estimate = through.root_near(chord);
         let next = if estimate > low && estimate < high {
@@ -480,9 +482,10 @@ fn root(mut f: impl FnMut(f64) -> f64, [begin, end]: [f64; 2], slope: Option<f64
             chord
         };
         let value = f(next);
-        if value.abs() <= tiny {
+        if value.abs() <= tiny || (next - last).abs() < NEGLIGIBLE_CHANGE * next {
             return next;
         }
+        last = next;
         if value > 0.0 {
             positive = (next, value);
         } else {
@@ -496,8 +499,11 @@ fn root(mut f: impl FnMut(f64) -> f64, [begin, end]: [f64; 2], slope: Option<f64
     positive.0
 }
 
+/// Relative change of the estimate of a root after which its error is that of rounding in the function.
+const NEGLIGIBLE_CHANGE: f64 = 1e-8;
+
 /// Most nodes of a [`Polynomial`].
-const MAX_NODES: usize = 6;
+const MAX_NODES: usize = 7;
 
 /// A polynomial through the values at some nodes, in Newton's form.
 struct Polynomial {

@@ -17,11 +17,12 @@ from strainwave.domain import FloatArray, IntArray
 from strainwave.domain.keys import Key, Values
 from strainwave.domain.results.distributions import STD_PER_MEDIAN
 from strainwave.dynamics.rigid_prediction import fit_percent
+from strainwave.dynamics.simulation import simulate_runs
 from strainwave.errors import InvalidInput, NumericalFailure
 from strainwave.identification.closed_loop import MIN_SIGNAL_TO_NOISE
 from strainwave.identification.whole_arm.problem.parameter_space import ParameterSpace
 from strainwave.identification.whole_arm.problem.weighted_rows import Evaluation, Rows, Weights
-from strainwave.identification.whole_arm.records.dataset import Dataset
+from strainwave.identification.whole_arm.records.dataset import Dataset, Motion
 from strainwave.identification.whole_arm.records.preparation import lengthen_steps
 from strainwave.numerics.linalg import triangular_factor
 from strainwave.numerics.parallel import current_cluster, run_parallel
@@ -271,9 +272,11 @@ class Objective:
         cache = replace(self.memory, record_parameters=list(self.memory.record_parameters))
         at = replace(self, memory=cache)  # what is cached of another point stays
         evaluated, values, simulated = at.evaluate(z), self.space.values(z), at.simulate(z)
+        exact = at._exact_motions(values)
 
         def corrected(k: int, record: Dataset) -> Dataset:
-            return record.correct_step_error(values, at.initial_states(k), simulated[k])
+            begin = at.initial_states(k)
+            return record.correct_step_error(values, begin, exact[k], simulated[k])
 
         records = tuple(self._map_records(corrected))
         pairs = zip(evaluated, records, self.records, strict=True)
@@ -284,6 +287,11 @@ class Objective:
         point = z.tobytes()
         memory = _EvaluationCache(cache.record_parameters, (point, shifted), corrected_at=point)
         return replace(self, records=records, memory=memory)
+
+    def _exact_motions(self, values: Values) -> list[Motion]:
+        """Motion of every record in short steps."""
+        plans = self._map_records(lambda k, one: one.plan_exact(values, self.initial_states(k)))
+        return [*simulate_runs(plans)]
 
     def resolve_modes(self, z: FloatArray) -> Objective:
         """Shorten the steps of records to those that resolve the fastest mode at z.
@@ -310,18 +318,23 @@ class Objective:
         record_parameters = [row.record_parameters for row in rows]
         known = self.replace_unknowns(self.space.fix_values(self.space.values(z)))
 
-        def lengthened(k: int, record: Dataset) -> tuple[Dataset, Evaluation]:
+        def in_long_steps(k: int, record: Dataset) -> Dataset:
             long = lengthen_steps(record)
             n_rows = len(long.time)
-            residual = rows[k].errors[:n_rows]
             counted = None if record.is_counted is None else record.is_counted[:n_rows]
-            long = replace(long, step_error_correction=np.zeros_like(residual), is_counted=counted)
-            plain = known._evaluate_from(long, z[:0], record_parameters[k])
+            none = np.zeros((n_rows, len(long.channels)))
+            return replace(long, step_error_correction=none, is_counted=counted)
+
+        def lengthened(k: int, long: Dataset) -> tuple[Dataset, Evaluation]:
+            plain = known._evaluate_from(long, z[:0], record_parameters[k], motions[k])
+            residual = rows[k].errors[: len(long.time)]
             long = replace(long, step_error_correction=residual - plain.difference)
             return long, replace(plain.without_derivatives(), difference=residual)
 
         try:
-            pairs = self._map_records(lengthened)
+            longs = replace(known, records=tuple(self._map_records(in_long_steps)))
+            motions = longs._plain_motions(z[:0])
+            pairs = longs._map_records(lengthened)
         except (InvalidInput, NumericalFailure):
             return self
         records = tuple(record for record, _ in pairs)
@@ -334,13 +347,11 @@ class Objective:
 
     def store_step_errors(self, z: FloatArray) -> Objective:
         """Store the step errors at z, where the residuals are exact, for a later `corrected`."""
-        values = self.space.values(z)
-
-        simulated = self.simulate(z)
+        values, simulated = self.space.values(z), self.simulate(z)
+        exact = self._exact_motions(values)
 
         def stored(k: int, record: Dataset) -> Dataset:
-            error = record.step_errors(values, self.initial_states(k), simulated[k])[1]
-            return replace(record, step_error=error)
+            return replace(record, step_error=record.step_errors(values, exact[k], simulated[k]))
 
         return replace(self, records=tuple(self._map_records(stored)))
 
@@ -386,10 +397,11 @@ class Objective:
         Missing derivatives are computed again if the work requires them to be `differentiated`.
         """
         point, cached = z.tobytes(), self._cached_at(z)
+        motions = self._plain_motions(z) if cached is None else []
 
         def evaluate_and_apply(k: int, record: Dataset) -> tuple[Evaluation, T]:
             if cached is None:
-                evaluated = self._evaluate_record(k, record, z)
+                evaluated = self._evaluate_record(k, record, z, motions[k])
             elif cached[k].is_differentiated or not differentiated:
                 evaluated = cached[k]
             else:
@@ -449,10 +461,25 @@ class Objective:
             self._map_on_cluster(cluster, z, Objective._weighed_record)
             self._cached_at(z)
 
-    def _evaluate_record(self, k: int, record: Dataset, z: FloatArray) -> Evaluation:
+    def _plain_motions(self, z: FloatArray) -> list[Motion | None]:
+        """Motions of all records at z where there is nothing to differentiate by, else None."""
+        motions: list[Motion | None] = [None] * len(self.records)
+        plain = [k for k, record in enumerate(self.records) if not record.initial_states]
+        if self.space.unknowns or len(plain) < 2:
+            return motions
+        values, none = self.space.values(z), np.zeros(0)
+        records = [self.records[k] for k in plain]
+        plans = run_parallel([partial(r.plan, values, none, r.quantities()) for r in records])
+        for k, motion in zip(plain, simulate_runs(plans), strict=True):
+            motions[k] = motion
+        return motions
+
+    def _evaluate_record(
+        self, k: int, record: Dataset, z: FloatArray, motion: Motion | None
+    ) -> Evaluation:
         """Evaluate record k at z, with optimal initial states if it begins in motion."""
         if not record.begins_in_motion:
-            return self._evaluate_from(record, z, self.memory.record_parameters[k])
+            return self._evaluate_from(record, z, self.memory.record_parameters[k], motion)
         results: dict[bytes, Evaluation] = {}
 
         def linearise(x: FloatArray) -> Linearised | None:
@@ -476,12 +503,17 @@ class Objective:
         return results[minimum.x.tobytes()]
 
     def _evaluate_from(
-        self, record: Dataset, z: FloatArray, record_parameters: FloatArray
+        self,
+        record: Dataset,
+        z: FloatArray,
+        record_parameters: FloatArray,
+        motion: Motion | None = None,
     ) -> Evaluation:
-        """Evaluate a record at z with given record parameters (n_own,)."""
+        """Evaluate a record at z with given record parameters (n_own,), and perhaps its motion."""
         n_begin, n = len(record.initial_states), len(self.space.unknowns)
         values, slope = self.space.values(z), self.space.slope(z)
-        channels, tangent = self._linearise_motion(record, values, record_parameters[:n_begin])
+        begin = record_parameters[:n_begin]
+        channels, tangent = self._linearise_motion(record, values, begin, motion)
         shared, factors = tangent[..., :n], np.diagonal(slope)  # changed in place: it is large
         pairs = zip(*np.nonzero(slope - np.diag(factors)), strict=True)
         added = [(of, slope[value, of] * shared[..., value]) for value, of in pairs]
@@ -499,13 +531,13 @@ class Objective:
         )
 
     def _linearise_motion(
-        self, record: Dataset, values: Values, initial: FloatArray
+        self, record: Dataset, values: Values, initial: FloatArray, motion: Motion | None
     ) -> tuple[FloatArray, FloatArray]:
         """`Dataset.linearise` by the keys of the unknowns, most of them perhaps `without`."""
         keys, without = self.space.keys, self.without
         of_effect = np.array([without is not None and key in without.absent for key in keys])
         if without is None or not of_effect.any():
-            return record.linearise(values, initial, keys)
+            return record.linearise(values, initial, keys, motion)
         effect, others = ([keys[k] for k in np.flatnonzero(one)] for one in (of_effect, ~of_effect))
         channels, by_effect = record.linearise(values, initial, effect)
         by_others = record.linearise(without.remove_from(values), initial, others)[1]

@@ -27,14 +27,19 @@ from strainwave.dynamics.link_sensors import differentiate_rows, mount_resonance
 from strainwave.dynamics.simulation import (
     Drive,
     LowPass,
+    PlannedRun,
     RecordInputs,
+    plan_run,
     record_inputs,
     sensitivities,
-    simulate_arms,
+    simulate_runs,
 )
 from strainwave.numerics.filters import noise_std
 from strainwave.signals.prepared_record import prepare_record
 from strainwave.signals.recorded_input import hold_torques
+
+Motion = Mapping[Quantity, FloatArray]
+"""Simulated samples (n_samples, n_joints) of each quantity."""
 
 INITIAL_STATES = ("initial_motor_velocity", "initial_link_angle", "initial_link_velocity")
 """Unknown initial states of a record that begins in motion, one of each per joint."""
@@ -176,33 +181,44 @@ class Dataset:
 
     def run(
         self, values: Mapping[Key, float], initial: FloatArray, record: Sequence[Quantity]
-    ) -> dict[Quantity, FloatArray]:
+    ) -> Motion:
         """Simulate the record: arrays (n_samples, n_joints), one per quantity in `record`."""
+        return simulate_runs([self.plan(values, initial, record)])[0]
+
+    def plan(
+        self, values: Mapping[Key, float], initial: FloatArray, record: Sequence[Quantity]
+    ) -> PlannedRun:
+        """Prepare the simulation of the record for `simulate_runs`."""
         inputs = self._inputs(values)
-        runs = simulate_arms(
+        return plan_run(
             self._arm_at(values),
-            [inputs.values],
+            inputs.values,
             inputs.shift_start(self._drive_at(values, initial)),
             sample_time=self.log.sample_time,
             samples=len(self.log),
             record=record,
             max_time_step=self._time_step(inputs.values),
         )
-        return {name: run[0] for name, run in runs.items()}
 
     def linearise(
-        self, values: Mapping[Key, float], initial: FloatArray, directions: Sequence[Key]
+        self,
+        values: Mapping[Key, float],
+        initial: FloatArray,
+        directions: Sequence[Key],
+        simulated: Motion | None = None,
     ) -> tuple[FloatArray, FloatArray]:
         """Simulated channels without biases (n_rows, n_channels), and their derivatives.
 
         The derivatives (n_rows, n_channels, n_directions + n_initial) are those with respect to the
         `directions`, which are parameters and sensor constants, and then to the initial states.
+        `simulated` are the `quantities`, if they are known: without derivatives, they suffice.
         """
         inputs = self._inputs(values)
-        simulated = [key for key in directions if not constant_of(key)]
-        core_directions = inputs.directions(simulated)
+        by_core = [key for key in directions if not constant_of(key)]
+        core_directions = inputs.directions(by_core)
         if not directions and not self.initial_states:  # a plain run is several times faster
-            channels = self.filtered_channels(self.run(values, initial, self.quantities()), values)
+            run = simulated or self.run(values, initial, self.quantities())
+            channels = self.filtered_channels(run, values)
             channels = (channels + self.step_error_correction) * self.sensor_scales(values)
             return channels + self.drifts(values), np.zeros((*channels.shape, 0))
         resonates = self._has_resonant_mount(values)
@@ -224,11 +240,11 @@ class Dataset:
         channels = to_channels(motion, values) + self.step_error_correction
         tangent = to_channels(slopes, values)
         del runs, slopes  # which have as many numbers as the tangent
-        tangent = inputs.by_parameters(tangent, core_directions, simulated)
+        tangent = inputs.by_parameters(tangent, core_directions, by_core)
         scales = self.sensor_scales(values)
         if np.any(scales != 1.0):
             tangent *= scales[:, None]
-        if len(simulated) < len(directions):
+        if len(by_core) < len(directions):
             sensor_places = [k for k, key in enumerate(directions) if constant_of(key)]
             keys = [directions[k] for k in sensor_places]
             by_sensors = self.sensor_tangent(channels, values, initial, keys)
@@ -402,15 +418,21 @@ class Dataset:
         self,
         values: Mapping[Key, float],
         initial: FloatArray,
+        exact: Motion | None = None,
         simulated: FloatArray | None = None,
     ) -> Dataset:
         """Correct the integrator step error and the noise estimate at the given parameters.
 
         The step error changes little near these parameters, so a search can continue in long steps.
-        The noise estimate excludes the simulated motion. `simulated` are the channels (n_rows,
-        n_channels) in the steps of the record with their correction, if they are known.
+        The noise estimate excludes the simulated motion. `exact` and `simulated` are arguments of
+        `step_errors`; what is not known is simulated.
         """
-        exact, error = self.step_errors(values, initial, simulated)
+        if exact is None:
+            (exact,) = simulate_runs([self.plan_exact(values, initial)])
+        if simulated is None:
+            run = self.run(values, initial, self.quantities())
+            simulated = self.filtered_channels(run, values) + self.step_error_correction
+        error = self.step_errors(values, exact, simulated)
         noise = np.minimum(self.noise, self._residual_noise(exact, values))
         correction = error
         if self.step_error is not None:
@@ -430,16 +452,10 @@ class Dataset:
         correction = np.zeros_like(self.step_error_correction)
         return replace(self, max_time_step=step, step_error_correction=correction, step_error=None)
 
-    def step_errors(
-        self,
-        values: Mapping[Key, float],
-        initial: FloatArray,
-        simulated: FloatArray | None = None,
-    ) -> tuple[dict[Quantity, FloatArray], FloatArray]:
-        """Simulation in shorter steps, and its channels minus those in the steps of the record.
+    def plan_exact(self, values: Mapping[Key, float], initial: FloatArray) -> PlannedRun:
+        """Prepare the simulation of `quantities` in shorter steps.
 
-        The shorter steps resolve modes far above the cut-off, because longer ones would damp them.
-        `simulated` are the latter with their correction, if they are known.
+        They resolve modes far above the cut-off, because longer ones would damp them.
         """
         step = min(
             self.max_time_step / _REFINEMENT_FACTOR,
@@ -447,12 +463,18 @@ class Dataset:
             _ACCURATE_SHARE * self._stable_time_step(self._inputs(values).values),
         )
         refined = replace(self, max_time_step=max(step, self.max_time_step / _MAX_SHORTENING))
-        exact = refined.run(values, initial, self.quantities())
-        if simulated is None:
-            coarse = self.filtered_channels(self.run(values, initial, self.quantities()), values)
-        else:
-            coarse = simulated - self.step_error_correction
-        return exact, self.filtered_channels(exact, values) - coarse
+        return refined.plan(values, initial, self.quantities())
+
+    def step_errors(
+        self, values: Mapping[Key, float], exact: Motion, simulated: FloatArray
+    ) -> FloatArray:
+        """Channels (n_rows, n_channels) of an exact motion minus those in the record's steps.
+
+        `exact` is the simulation of `plan_exact`, `simulated` (n_rows, n_channels) are the channels
+        in the steps of the record with their correction.
+        """
+        coarse = simulated - self.step_error_correction
+        return self.filtered_channels(exact, values) - coarse
 
     def _residual_noise(
         self, runs: Mapping[Quantity, FloatArray], values: Mapping[Key, float]
