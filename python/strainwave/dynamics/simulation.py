@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
-from itertools import groupby
 from typing import Any, cast
 
 import numpy as np
@@ -165,18 +164,19 @@ def simulate_runs(runs: Sequence[PlannedRun]) -> list[Samples]:
     Runs of one arm with equal clocks share registers, best if they are equally long. Raises
     InvalidInput if a parameter is impossible, NumericalFailure if a motion diverges.
     """
-    cores = {id(run.arm.core): run.arm.core for run in runs}
-
-    def alike(k: int) -> tuple[int, tuple[float, ...]]:
-        return id(runs[k].arm.core), runs[k].experiment.clock
-
-    order = sorted(range(len(runs)), key=alike, reverse=True)
+    arms: list[Arm] = []
+    members: list[list[int]] = []
+    for k in sorted(range(len(runs)), key=lambda k: runs[k].experiment.clock, reverse=True):
+        arm = runs[k].arm
+        at = next((i for i, other in enumerate(arms) if other is arm or other == arm), len(arms))
+        if at == len(arms):
+            arms.append(arm)
+            members.append([])
+        members[at].append(k)
     jobs: list[tuple[_core.Arm, list[int]]] = []
-    for identity, same in groupby(order, key=lambda k: id(runs[k].arm.core)):
-        members = list(same)
-        groups = even_groups(len(members), cores[identity].lanes)
-        split = np.array_split(np.array(members), groups)
-        jobs += [(cores[identity], places.tolist()) for places in split]
+    for arm, of_arm in zip(arms, members, strict=True):
+        groups = np.array_split(of_arm, even_groups(len(of_arm), arm.core.lanes))
+        jobs += [(arm.core, group.tolist()) for group in groups]
 
     def simulated(core: _core.Arm, places: list[int]) -> list[Samples]:
         vectors = np.array([runs[k].parameters for k in places])

@@ -553,6 +553,41 @@ fn relative_difference<A: WithPrograms<N> + BuiltIn, const N: usize>(
     worst
 }
 
+/// Compares experiments simulated together, which differ in everything but arm and clock, with those
+/// simulated alone.
+fn check_together<A: WithPrograms<N> + BuiltIn, const N: usize>(
+    gears: impl AsRef<[Law]>,
+    seed: u64,
+    steps: usize,
+) {
+    let gears = gears.as_ref();
+    let one = |k: u64| Case::<A, N>::random(gears, seed.wrapping_add(k), k % 3 == 0, steps);
+    let mut cases: Vec<_> = (0..11).map(one).collect();
+    let config = cases[0].task.config;
+    for (k, case) in cases.iter_mut().enumerate() {
+        case.task.config = config;
+        case.task.clock.samples -= 7 * k;
+    }
+    let members = cases.iter().map(|case| {
+        let member = case.member(&case.parameters, case.initial);
+        (case.task.clone(), member)
+    });
+    let members: Vec<_> = members.collect();
+    for &width in Width::available() {
+        let together = config.arm.programs().simulate_all(&members, width);
+        for ((task, member), together) in zip(&members, together) {
+            let alone = simulate(task, member, width).expect("finite");
+            let together = together.expect("finite");
+            for (alone, together) in zip(alone.concat(), together.concat()) {
+                for i in 0..config.arm.joints() {
+                    let error = (alone[i] - together[i]).abs();
+                    assert!(error < 1e-8 * (1.0 + alone[i].abs()), "{error:e} {width:?}");
+                }
+            }
+        }
+    }
+}
+
 /// An arm that may have a transmission.
 trait Coupled<const N: usize> {
     fn coupled(&self, matrix: &[[f64; N]; N]) -> Self;
@@ -849,6 +884,14 @@ proptest! {
         check_methods(&Case::<Chain, MAX_CHAIN_JOINTS>::random([LINEAR, THREE_SLOPE, LINEAR], seed, servo, 240));
         check_methods(&Case::<Chain, MAX_CHAIN_JOINTS>::random([LINEAR; 6], seed, servo, 80));
         check_methods(&Case::<Chain, MAX_CHAIN_JOINTS>::random([LINEAR; 7], seed, servo, 80));
+    }
+
+    #[test]
+    fn experiments_agree_together_and_alone(seed in any::<u64>()) {
+        check_together::<TwoLink<true>, 2>([THREE_SLOPE, LINEAR], seed, 240);
+        check_together::<Chain, MAX_CHAIN_JOINTS>([LINEAR, THREE_SLOPE, LINEAR], seed, 160);
+        check_together::<Chain, MAX_CHAIN_JOINTS>([LINEAR; 6], seed, 120);
+        check_together::<Chain, MAX_CHAIN_JOINTS>([LINEAR, RIGID], seed, 80);
     }
 
     #[test]

@@ -11,7 +11,7 @@ use crate::experiment::start::start;
 use crate::experiment::{Clock, Diverged, Event, Member, Quantity, Record, RecordOf, Source, Task};
 use crate::joint::Joint;
 use crate::joint::gear::Gears;
-use crate::plant::friction::{Motion, Span, sign};
+use crate::plant::friction::{Margins, Motion, Span, sign};
 use crate::plant::{Instant, Plant, State, Watch};
 use crate::scalar::{MAX_LANES, Real, Work, works};
 use crate::sensors::encoder::encoder_angle;
@@ -106,7 +106,7 @@ impl<'a, A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>
         let mut simulation =
             Self::from_motion(task, member, plant, motion, member.initial.voltage.map(S::splat));
         if let Some(servo) = &task.servo {
-            let encoder = simulation.encoder();
+            let encoder = encoder_of(task, &simulation.motion);
             simulation.servo = Some(servo.at_rest(&member.initial.voltage, &encoder));
         }
         simulation
@@ -170,14 +170,6 @@ impl<'a, A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>
             .instant(&motion.state, &motion.torque, &motion.modes)
     }
 
-    /// Encoder readings [rad].
-    fn encoder(&self) -> [S; N] {
-        std::array::from_fn(|i| {
-            let angle = self.motion.state.motor_angle[i];
-            encoder_angle(angle, self.task.config.joints[i].encoder_counts)
-        })
-    }
-
     /// Applies the voltages of this instant: the feed-forward of the tick, and the servo's output
     /// if the servo reads.
     pub(crate) fn command(&mut self, step: usize, servo_reads: bool) {
@@ -195,10 +187,10 @@ impl<'a, A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>
     pub(crate) fn set_voltage(&mut self, step: usize, servo_reads: bool) {
         let tick = step / self.task.clock.steps_per_tick;
         let feed_forward = &self.member.feed_forward[tick];
-        let encoder = self.encoder();
         match (&self.task.servo, &mut self.servo) {
             (Some(servo), Some(memory)) if servo_reads => {
                 let reference = &self.member.reference[tick];
+                let encoder = encoder_of(self.task, &self.motion);
                 self.voltage = servo.command(memory, reference, &encoder, feed_forward);
             }
             (Some(servo), _) => {
@@ -253,7 +245,7 @@ impl<'a, A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>
     #[inline(always)]
     pub(crate) fn advance(&mut self, now: &Instant<A, S, N>, watch: &mut impl Watch<S, N>) {
         let (state, torque, margins) = self.smooth_step(now, watch);
-        if smallest(&margins).any_negative() {
+        if margins.smallest().any_negative() {
             self.repeat_step(&margins);
         } else {
             self.spans.clear();
@@ -268,7 +260,7 @@ impl<'a, A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>
         &self,
         now: &Instant<A, S, N>,
         watch: &mut impl Watch<S, N>,
-    ) -> (State<S, N>, [S; N], [S; N]) {
+    ) -> (State<S, N>, [S; N], Margins<S, N>) {
         let torque = self.current.over_step(&self.motion.torque, &self.target);
         let h = S::splat(self.task.clock.step);
         let modes = &self.motion.modes;
@@ -282,7 +274,7 @@ impl<'a, A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>
     }
 
     #[inline(never)]
-    pub(crate) fn repeat_step(&mut self, margins: &[S; N]) {
+    pub(crate) fn repeat_step(&mut self, margins: &Margins<S, N>) {
         self.spans.clear();
         self.motion = self.plant.advance(
             &self.motion,
@@ -321,7 +313,7 @@ impl<'a, A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>
                 Quantity::LinkAcceleration => now.acceleration.link,
                 Quantity::GearTorque => self.plant.gear_torques(state),
                 Quantity::Torsion => self.plant.torsions(state),
-                Quantity::Encoder => self.encoder(),
+                Quantity::Encoder => encoder_of(self.task, &self.motion),
                 Quantity::Accelerometer => self.reading(0),
                 Quantity::Gyro => self.reading(1),
                 Quantity::LinkSensor(k) => self.link_readings(k),
@@ -390,19 +382,19 @@ works! {
         = Simulation::apply_command;
 }
 
+/// Encoder readings [rad].
+#[inline(always)]
+fn encoder_of<A, S: Real, const N: usize>(task: &Task<A, N>, motion: &Motion<S, N>) -> [S; N] {
+    let mut readings = motion.state.motor_angle;
+    for i in 0..N {
+        readings[i] = encoder_angle(readings[i], task.config.joints[i].encoder_counts);
+    }
+    readings
+}
+
 /// Whether friction holds any motor.
 pub(crate) fn has_held_motors<S: Real, const N: usize>(motion: &Motion<S, N>) -> bool {
     motion.modes.free.iter().any(|&free| (free - 0.5).any_negative())
-}
-
-/// The smallest of the numbers of several joints.
-#[inline(always)]
-pub(crate) fn smallest<S: Real, const N: usize>(numbers: &[S; N]) -> S {
-    let mut smallest = numbers[0];
-    for number in &numbers[1..] {
-        smallest = smallest.min(*number);
-    }
-    smallest
 }
 
 /// +1, -1 or 0 in each lane, without derivatives.

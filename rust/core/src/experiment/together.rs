@@ -6,11 +6,11 @@
 use std::marker::PhantomData;
 
 use crate::arm::Arm;
-use crate::experiment::simulate::{Simulation, has_held_motors, smallest};
+use crate::experiment::simulate::{Simulation, has_held_motors};
 use crate::experiment::{Clock, Diverged, Event, Record, Task};
 use crate::joint::gear::Gears;
 use crate::plant::Instant;
-use crate::plant::friction::Motion;
+use crate::plant::friction::{Margins, Motion};
 use crate::program::Case;
 use crate::scalar::{Real, Work, works};
 
@@ -34,14 +34,17 @@ impl<'a, A, S, V, G, const N: usize> SimulateTogether<'a, A, S, V, G, N> {
     }
 }
 
-/// Whether two experiments on one arm can be simulated together.
+/// Whether two experiments on one arm can be simulated together. Steps that differ by rounding are
+/// equal.
 pub fn can_share<A, const N: usize>(one: &Task<A, N>, other: &Task<A, N>) -> bool {
-    let samples = one.clock.samples;
-    let clock = Clock {
+    let Clock { step, samples, .. } = one.clock;
+    let alike = Clock {
+        step,
         samples,
         ..other.clock
     };
-    one.clock == clock && one.record == other.record && one.link_sensors == other.link_sensors
+    let is_equal = (other.clock.step - step).abs() < 1e-12 * step && one.clock == alike;
+    is_equal && one.record == other.record && one.link_sensors == other.link_sensors
 }
 
 impl<A: Arm<N>, S: Real, V: Real, G: Gears, const N: usize> Work
@@ -138,9 +141,17 @@ impl<'a, A: Arm<N>, S: Real, V: Real, G: Gears, const N: usize> Together<'a, A, 
 
     /// As [`Simulation::release`].
     fn release(&mut self) {
+        let Motion {
+            state,
+            torque,
+            modes,
+        } = &self.all.motion;
+        let reserve = self.all.plant.smallest_reserve(state, torque, modes);
+        if !reserve.any_negative() {
+            return;
+        }
         for (l, lane) in self.lanes.iter_mut().enumerate() {
-            let is_held = |free: &V| free.lane(l) < 0.5;
-            if self.all.motion.modes.free.iter().any(is_held) {
+            if reserve.lane(l) < 0.0 {
                 lane.motion = self.all.motion.lane(l);
                 lane.release();
                 self.all.motion.set_lane(l, &lane.motion);
@@ -153,7 +164,7 @@ impl<'a, A: Arm<N>, S: Real, V: Real, G: Gears, const N: usize> Together<'a, A, 
     #[inline(always)]
     fn advance(&mut self, step: usize, now: &Instant<A, V, N>) {
         let (state, torque, margins) = self.all.smooth_step(now, &mut ());
-        let smallest = smallest(&margins);
+        let smallest = margins.smallest();
         let ends_mode = smallest.any_negative();
         if ends_mode {
             self.repeat_steps(step, smallest, &margins);
@@ -167,12 +178,12 @@ impl<'a, A: Arm<N>, S: Real, V: Real, G: Gears, const N: usize> Together<'a, A, 
 
     /// Repeats the step of each lane whose smallest margin is negative.
     #[inline(never)]
-    fn repeat_steps(&mut self, step: usize, smallest: V, margins: &[V; N]) {
+    fn repeat_steps(&mut self, step: usize, smallest: V, margins: &Margins<V, N>) {
         for (l, lane) in self.lanes.iter_mut().enumerate() {
             if smallest.lane(l) < 0.0 && step < lane.task.clock.steps() {
                 lane.motion = self.all.motion.lane(l);
                 lane.target = in_lane(&self.all.target, l);
-                lane.repeat_step(&in_lane(margins, l));
+                lane.repeat_step(&margins.lane(l));
             }
         }
     }

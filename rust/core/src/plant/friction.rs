@@ -50,6 +50,40 @@ pub struct Motion<R, const N: usize> {
     pub modes: Modes<R, N>,
 }
 
+/// Margins of the friction modes; negative if a mode has ended.
+#[derive(Clone, Copy, Debug)]
+pub struct Margins<R, const N: usize> {
+    /// Of a sliding motor its velocity in its direction, or with a settling time `dtheta_M + tau
+    /// ddtheta_M`; of a held motor the remaining friction.
+    pub margin: [R; N],
+    /// [`Plant::holding_torques`], unless all motors slide and stop instantly.
+    holding: [R; N],
+    /// Friction limits in that case.
+    limit: [R; N],
+}
+
+impl<R: Real, const N: usize> Margins<R, N> {
+    /// In one lane.
+    pub(crate) fn lane<S: Real>(&self, lane: usize) -> Margins<S, N> {
+        let one = |numbers: &[R; N]| numbers.map(|number| S::splat(number.lane(lane)));
+        Margins {
+            margin: one(&self.margin),
+            holding: one(&self.holding),
+            limit: one(&self.limit),
+        }
+    }
+
+    /// The smallest margin.
+    #[inline(always)]
+    pub(crate) fn smallest(&self) -> R {
+        let mut smallest = self.margin[0];
+        for margin in &self.margin[1..] {
+            smallest = smallest.min(*margin);
+        }
+        smallest
+    }
+}
+
 impl<R: Real, const N: usize> Motion<R, N> {
     /// At rest with all angles and torques zero.
     pub(crate) fn zero() -> Self {
@@ -129,19 +163,48 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
 
     /// Releases the sticking motors that friction cannot hold; returns whether there were any.
     pub fn release(&self, x: &State<R, N>, torque: &[R; N], modes: &mut Modes<R, N>) -> bool {
+        let mut known = None;
         let mut any = false;
         for i in 0..self.arm.joints() {
             if modes.free[i].lane(0) == 0.0 {
-                let [holding, limit] = run_out_of_line::<R, _>(HoldingWork(self, x, torque, modes));
+                let [holding, limit] = *known.get_or_insert_with(|| {
+                    run_out_of_line::<R, _>(HoldingWork(self, x, torque, modes))
+                });
                 let holding = holding[i].lane(0);
                 if holding.abs() > limit[i].lane(0) {
                     modes.direction[i] = sign(holding);
                     modes.free[i] = R::splat(1.0);
-                    any = true;
+                    (known, any) = (None, true);
                 }
             }
         }
         any
+    }
+
+    /// The smallest friction that remains at a held motor; negative in lanes that release one.
+    pub(crate) fn smallest_reserve(
+        &self,
+        x: &State<R, N>,
+        torque: &[R; N],
+        modes: &Modes<R, N>,
+    ) -> R {
+        R::scope(ReserveWork(self, x, torque, modes))
+    }
+
+    #[inline(always)]
+    fn compute_smallest_reserve(
+        &self,
+        x: &State<R, N>,
+        torque: &[R; N],
+        modes: &Modes<R, N>,
+    ) -> R {
+        let [holding, limit] = self.holding_torques_and_limits(x, torque, modes);
+        let mut smallest = R::splat(0.0);
+        for i in 0..self.arm.joints() {
+            let held = -modes.free[i] + 1.0;
+            smallest = smallest.min(held * (limit[i] - holding[i].abs()));
+        }
+        smallest
     }
 
     /// Holding torques and friction limits of all motors.
@@ -158,11 +221,8 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
         ]
     }
 
-    /// Margins of the friction modes at the end of a step; negative if a mode has ended.
-    ///
-    /// The margin of a sliding motor is its velocity in its direction, or with a settling time
-    /// `dtheta_M + tau ddtheta_M`; that of a held motor is the remaining friction. `has_held_motors`
-    /// states whether any motor is held; otherwise the holding torques need not be computed.
+    /// Margins of the friction modes at the end of a step. `has_held_motors` states whether any motor
+    /// is held; otherwise the holding torques need not be computed.
     #[inline(always)]
     pub fn margins(
         &self,
@@ -170,15 +230,16 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
         torque: &[R; N],
         modes: &Modes<R, N>,
         has_held_motors: bool,
-    ) -> [R; N] {
+    ) -> Margins<R, N> {
         let mut margin = x.motor_velocity;
         for i in 0..self.arm.joints() {
             margin[i] = margin[i] * modes.direction[i];
         }
+        let [mut holding, mut limit] = [[R::splat(0.0); N]; 2];
         if has_held_motors || self.settles {
-            let [holding, limits] = self.holding_torques_and_limits(x, torque, modes);
+            [holding, limit] = self.holding_torques_and_limits(x, torque, modes);
             for i in 0..self.arm.joints() {
-                let (joint, limit) = (&self.joints[i], limits[i]);
+                let (joint, limit) = (&self.joints[i], limit[i]);
                 let reserve = limit - holding[i].abs();
                 let held = (-modes.free[i] + 1.0) * reserve;
                 // 1 for an instant stop, 0 with a settling time
@@ -190,7 +251,11 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
                     is_instant.mul_add(margin[i], velocity_per_torque.mul_add(beyond, held));
             }
         }
-        margin
+        Margins {
+            margin,
+            holding,
+            limit,
+        }
     }
 
     /// Advances the motion by `h` [s] through all events, if the modes have given margins after
@@ -198,7 +263,7 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
     pub fn advance(
         &self,
         motion: &Motion<R, N>,
-        margins: &[R; N],
+        margins: &Margins<R, N>,
         target: &[R; N],
         current: &CurrentLoop<R, N>,
         h: f64,
@@ -221,7 +286,7 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
             // a mode that does not fit from the beginning ends at a fixed time
             let mut length = R::splat(part);
             if R::HAS_DERIVATIVE && part > 0.0 {
-                length = R::root(part, |part| integrator.end(part).1[joint]);
+                length = R::root(part, |part| integrator.end(part).1.margin[joint]);
                 at_event = integrator.end(length).0;
             }
             now = at_event;
@@ -238,8 +303,7 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
             .0
     }
 
-    /// Repeats a span with an observer. Returns the motion and the margins after a part of the
-    /// length.
+    /// Repeats a span with an observer. Returns the motion after a part of the length.
     #[inline(always)]
     pub(crate) fn retrace(
         &self,
@@ -248,8 +312,10 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
         current: &CurrentLoop<R, N>,
         (length, part): (R, R),
         watch: &mut impl Watch<R, N>,
-    ) -> (Motion<R, N>, [R; N]) {
-        SpanIntegrator::new(self, from, target, current, length).integrate(part, watch)
+    ) -> Motion<R, N> {
+        SpanIntegrator::new(self, from, target, current, length)
+            .integrate(part, watch)
+            .0
     }
 
     /// Changes the mode of a joint at its event.
@@ -331,14 +397,22 @@ struct SpanIntegrator<'a, A: Arm<N>, R: Real, G: Gears, const N: usize, const EF
 }
 
 works! {
+    ['p, A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool]
+    ['p, A, R, G, N, EFFECTS]
+    /// [`Plant::smallest_reserve`].
+    ReserveWork(0: &'p Plant<A, R, G, N, EFFECTS>, 1: &'p State<R, N>, 2: &'p [R; N],
+        3: &'p Modes<R, N>) -> R = Plant::compute_smallest_reserve;
+}
+
+works! {
     ['l, 'a, A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool]
     ['l, 'a, A, R, G, N, EFFECTS]
     /// [`SpanIntegrator::margins_at_begin`].
-    BeginMarginWork(0: &'l SpanIntegrator<'a, A, R, G, N, EFFECTS>) -> [R; N]
+    BeginMarginWork(0: &'l SpanIntegrator<'a, A, R, G, N, EFFECTS>) -> Margins<R, N>
         = SpanIntegrator::margins_at_begin;
     /// [`SpanIntegrator::integrate`].
     EndWork(0: &'l SpanIntegrator<'a, A, R, G, N, EFFECTS>, 1: R, 2: &'l mut ())
-        -> (Motion<R, N>, [R; N]) = SpanIntegrator::integrate;
+        -> (Motion<R, N>, Margins<R, N>) = SpanIntegrator::integrate;
 }
 
 impl<'a, A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool>
@@ -363,12 +437,12 @@ impl<'a, A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool>
     }
 
     /// Motion and margins after a part of the length.
-    fn end(&self, part: R) -> (Motion<R, N>, [R; N]) {
+    fn end(&self, part: R) -> (Motion<R, N>, Margins<R, N>) {
         R::scope(EndWork(self, part, &mut ()))
     }
 
     #[inline(always)]
-    fn margins_at_begin(&self) -> [R; N] {
+    fn margins_at_begin(&self) -> Margins<R, N> {
         let Motion {
             state,
             torque,
@@ -379,7 +453,11 @@ impl<'a, A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool>
     }
 
     #[inline(always)]
-    fn integrate(&self, part: R, watch: &mut impl Watch<R, N>) -> (Motion<R, N>, [R; N]) {
+    fn integrate(
+        &self,
+        part: R,
+        watch: &mut impl Watch<R, N>,
+    ) -> (Motion<R, N>, Margins<R, N>) {
         let t = part * self.length;
         let torque = self.current.over(&self.from.torque, self.target, t);
         let modes = &self.from.modes;
@@ -398,49 +476,87 @@ impl<'a, A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool>
     }
 
     /// The first event of the span, if there is one, with the motion at that event.
-    fn first_event(&self, margins_at_end: &[R; N]) -> Option<(Event, Motion<R, N>)> {
+    fn first_event(&self, at_end: &Margins<R, N>) -> Option<(Event, Motion<R, N>)> {
         let at_begin = R::scope(BeginMarginWork(self));
         let mut first: Option<(Event, Motion<R, N>)> = None;
-        let mut margins_at_end = *margins_at_end;
+        let mut at_end = *at_end;
         for i in 0..self.plant.arm.joints() {
             // before the first event found so far
             let whole = first.map_or(1.0, |(event, _)| event.0);
-            if margins_at_end[i].lane(0) >= 0.0 || whole == 0.0 {
+            if at_end.margin[i].lane(0) >= 0.0 || whole == 0.0 {
                 continue;
             }
+            let joint = &self.plant.joints[i];
+            let length = self.length.lane(0) * whole;
+            let is_held = self.from.modes.free[i].lane(0) == 0.0;
+            let stops_instantly = joint.settling_time.lane(0) == 0.0;
+            let (mut slope, mut decay) = (None, Decay::default());
+            // the side on which the torque exceeds friction: without it the margin has a kink
+            let side = at_end.holding[i].lane(0).signum();
+            let margin = |margins: &Margins<R, N>| match is_held {
+                true => margins.limit[i].lane(0) - side * margins.holding[i].lane(0),
+                false => margins.margin[i].lane(0),
+            };
+            if is_held && !stops_instantly {
+                let velocity = self.from.state.motor_velocity[i];
+                let brake = joint.motor_inertia * joint.settling_rate - joint.motor_viscous;
+                decay = Decay {
+                    size: -side * (brake * velocity).lane(0),
+                    rate: length * joint.settling_rate.lane(0),
+                };
+            } else if !is_held && stops_instantly {
+                let speed = self.begin.acceleration.motor[i] * self.from.modes.direction[i];
+                slope = Some(speed.lane(0) * length);
+            }
             let mut last = None;
-            let margin = |part: f64| {
+            let after = |part: f64| {
                 let (motion, margins) = self.end(R::splat(part * whole));
                 last = Some((part, motion, margins));
-                margins[i].lane(0)
+                margin(&margins)
             };
-            let ends = [at_begin[i].lane(0), margins_at_end[i].lane(0)];
-            // the margin of a sliding motor that stops instantly is its speed
-            let stops_instantly = self.plant.joints[i].settling_time.lane(0) == 0.0;
-            let slope = stops_instantly.then(|| {
-                let slope = self.begin.acceleration.motor[i] * self.from.modes.direction[i];
-                slope.lane(0) * self.length.lane(0) * whole
-            });
-            let part = root(margin, ends, slope);
+            let part = root(after, [margin(&at_begin), margin(&at_end)], slope, decay);
             let (motion, margins) = match last {
                 Some((at, motion, margins)) if at == part => (motion, margins),
                 _ => self.end(R::splat(part * whole)),
             };
             first = Some(((part * whole, i), motion));
-            margins_at_end = margins;
+            at_end = margins;
         }
         first
     }
 }
 
+/// A known part of a function: `size exp(-rate x)`.
+#[derive(Clone, Copy, Default)]
+struct Decay {
+    size: f64,
+    rate: f64,
+}
+
+impl Decay {
+    /// Value and slope.
+    fn at(&self, x: f64) -> [f64; 2] {
+        if self.size == 0.0 {
+            return [0.0; 2];
+        }
+        let value = self.size * (-self.rate * x).exp();
+        [value, -self.rate * value]
+    }
+}
+
 /// The root on [0, 1] of a function that is negative at the end.
 ///
-/// Each estimate is the root of the polynomial through all values so far, and the `slope` at 0 if it
-/// is given, unless that is outside of the bracket. The value at the root is at most 1e-12 of those
-/// at the ends, or its rounding error.
-fn root(mut f: impl FnMut(f64) -> f64, [begin, end]: [f64; 2], slope: Option<f64>) -> f64 {
+/// Each estimate is the root of the sum of a known part and the polynomial through all values so far,
+/// and the `slope` at 0 if it is given, unless that is outside of the bracket. The value at the root is
+/// at most 1e-12 of those at the ends, or its rounding error.
+fn root(
+    mut f: impl FnMut(f64) -> f64,
+    [begin, end]: [f64; 2],
+    slope: Option<f64>,
+    known: Decay,
+) -> f64 {
     let tiny = 1e-12 * (begin.abs() + end.abs());
-    let mut through = Polynomial::new((0.0, begin));
+    let mut through = Polynomial::new((0.0, begin), known);
     if let Some(slope) = slope {
         through.add_slope(slope);
     }
@@ -492,7 +608,7 @@ fn root(mut f: impl FnMut(f64) -> f64, [begin, end]: [f64; 2], slope: Option<f64
             negative = (next, value);
         }
         if !through.add(next, value) {
-            through = Polynomial::new(positive);
+            through = Polynomial::new(positive, known);
             through.add(negative.0, negative.1);
         }
     }
@@ -505,17 +621,20 @@ const NEGLIGIBLE_CHANGE: f64 = 1e-8;
 /// Most nodes of a [`Polynomial`].
 const MAX_NODES: usize = 7;
 
-/// A polynomial through the values at some nodes, in Newton's form.
+/// A known part and a polynomial, in Newton's form, through the values at some nodes.
 struct Polynomial {
+    known: Decay,
     coefficients: [f64; MAX_NODES],
     nodes: [f64; MAX_NODES],
     count: usize,
 }
 
 impl Polynomial {
-    /// A constant.
-    fn new((node, value): (f64, f64)) -> Self {
+    /// Through one value.
+    fn new((node, value): (f64, f64), known: Decay) -> Self {
+        let value = value - known.at(node)[0];
         Self {
+            known,
             coefficients: [value; MAX_NODES],
             nodes: [node; MAX_NODES],
             count: 1,
@@ -524,7 +643,7 @@ impl Polynomial {
 
     /// Adds the slope at the first node, as the second value.
     fn add_slope(&mut self, slope: f64) {
-        self.coefficients[1] = slope;
+        self.coefficients[1] = slope - self.known.at(self.nodes[0])[1];
         self.count = 2;
     }
 
@@ -548,7 +667,8 @@ impl Polynomial {
             slope = slope * distance + value;
             value = value * distance + self.coefficients[k];
         }
-        [value, slope]
+        let known = self.known.at(x);
+        [value + known[0], slope + known[1]]
     }
 
     /// A root near `x`, by Newton's method.

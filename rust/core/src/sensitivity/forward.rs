@@ -268,7 +268,7 @@ impl<'a, A: Arm<N>, S: Lanes, V: Lanes, L: Lanes, G: Gears, const N: usize, cons
         let part = event.map_or(1.0, |event| event.0);
         let duration = part * length;
         let whole = (S::splat(*length), S::splat(part));
-        let (end, _) = plant.retrace(from, target, current, whole, trace);
+        let end = plant.retrace(from, target, current, whole, trace);
         let begin = plant.arm.posture(&from.state.link_angle);
         self.linear
             .update::<V, S>(trace, &begin, &from.modes, duration);
