@@ -49,7 +49,7 @@ def _time_step() -> float:
     rig = Arm.of(scara.STIFF.study(Path()).arm)
     values = rig.parameter_vector(scara.STIFF.parameters())[None, :]
     experiment = rig.core.experiment(**_experiment())
-    return best_of(lambda: rig.core.simulate(values, experiment)) / STEPS
+    return best_of(lambda: rig.core.simulate(values, [experiment])) / STEPS
 
 
 def _time_derivatives(count: int) -> float:

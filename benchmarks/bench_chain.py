@@ -74,7 +74,7 @@ def _time_step(chain: Chain) -> float:
     arm = Arm.of(chain.study.arm)
     values = arm.parameter_vector(chain.values)[None, :]
     experiment = arm.core.experiment(**_experiment(arm.n_joints))
-    return best_of(lambda: arm.core.simulate(values, experiment)) / STEPS
+    return best_of(lambda: arm.core.simulate(values, [experiment])) / STEPS
 
 
 def _directions(arm: Arm) -> list[tuple[str, int | None]]:

@@ -26,13 +26,13 @@ from strainwave.domain.arm.link_sensors.link_space import Quantity
 from strainwave.domain.arm.link_sensors.single_axis import Accelerometer, LinkEncoder
 from strainwave.domain.keys import Values
 from strainwave.dynamics.arm import Arm
-from strainwave.dynamics.simulation import Drive, SensorNoise, simulate
+from strainwave.dynamics.simulation import Drive, PlannedRun, SensorNoise, plan_run, simulate
 from strainwave.identification.whole_arm.problem.parameter_space import (
     ParameterSpace,
     Prior,
     Unknown,
 )
-from strainwave.identification.whole_arm.records.dataset import Dataset, Kernels
+from strainwave.identification.whole_arm.records.dataset import Dataset, Kernels, Motion
 from strainwave.io.logs import read_log
 from strainwave.io.study import read_study
 from strainwave.signals.recorded_input import recorded_drive
@@ -234,6 +234,18 @@ class LinearRecord(Dataset):
 
     table: FloatArray  # (n_rows, n_channels, n_unknowns)
 
+    def plan(self, *_: object) -> PlannedRun:
+        values = truth()[1]
+        return plan_run(
+            self.arm,
+            values,
+            self.drive,
+            sample_time=1e-3,
+            samples=1,
+            record=["motor_angle"],
+            max_time_step=1e-4,
+        )
+
     @property
     def n(self) -> int:
         return int(self.table.shape[2])
@@ -243,6 +255,7 @@ class LinearRecord(Dataset):
         values: Mapping[tuple[str, int | None], float],
         local: FloatArray,
         directions: Sequence[tuple[str, int | None]],
+        simulated: Motion | None = None,
     ) -> tuple[FloatArray, FloatArray]:
         asked = [int(name[1:]) for name, _ in directions]
         parameters = np.array([values[f"p{k}", None] for k in range(self.n)])

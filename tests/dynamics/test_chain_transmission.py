@@ -48,8 +48,8 @@ def simulate(spring: str, motors: Array, transmission: Array | None, ratios: Arr
         record=["motor_angle", "motor_velocity", "link_angle", "link_velocity", "gear_torque"],
     )
     parameters = np.concatenate([base, drives(spring, motors).ravel()])
-    record = arm.simulate(parameters[None], experiment)
-    angle, velocity, *others = (array[0] for array in record.values())
+    (record,) = arm.simulate(parameters[None], [experiment])
+    angle, velocity, *others = record.values()
     assert (velocity == 0.0).any()
     return np.array([angle @ motors, velocity @ motors, *others])
 
@@ -96,11 +96,11 @@ def test_rigid_motion_agrees_with_inverse_dynamics() -> None:
         samples=40,
         record=[*motion, "motor_velocity", "motor_torque"],
     )
-    record = arm.simulate(values[None], experiment)
-    computed = arm.inverse_dynamics(values, *(record[name][0] for name in motion))
-    moves = record["motor_velocity"][0] != 0.0
+    (record,) = arm.simulate(values[None], [experiment])
+    computed = arm.inverse_dynamics(values, *(record[name] for name in motion))
+    moves = record["motor_velocity"] != 0.0
     assert moves.mean() > 0.9
-    np.testing.assert_allclose(computed[moves], record["motor_torque"][0][moves], atol=1e-9)
+    np.testing.assert_allclose(computed[moves], record["motor_torque"][moves], atol=1e-9)
 
 
 def test_motor_torques_of_a_transmission() -> None:

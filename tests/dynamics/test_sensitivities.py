@@ -41,10 +41,10 @@ EXPERIMENT: dict[str, Any] = {
 def test_values_match_the_simulation() -> None:
     directions = [("alpha", None), ("motor_inertia", 2), ("initial_link_angle", 1)]
     recorded = ARM.sensitivities(VALUES, ARM.experiment(**EXPERIMENT), directions)
-    plain = ARM.simulate(VALUES[None], ARM.experiment(**EXPERIMENT))
+    (plain,) = ARM.simulate(VALUES[None], [ARM.experiment(**EXPERIMENT)])
     for name in RECORD:
         values, tangents = recorded[name]
-        np.testing.assert_array_equal(values, plain[name][0])
+        np.testing.assert_array_equal(values, plain[name])
         assert tangents.shape == (200, 2, 3)
 
 
@@ -54,9 +54,9 @@ def test_derivatives_match_differences() -> None:
     recorded = ARM.sensitivities(VALUES, ARM.experiment(**EXPERIMENT), directions)
     step = 1e-5 * VALUES[k]
     moved = VALUES + step * np.array([[1.0], [-1.0]]) * (np.arange(len(VALUES)) == k)
-    both = ARM.simulate(moved, ARM.experiment(**EXPERIMENT))
+    above, below = ARM.simulate(moved, [ARM.experiment(**EXPERIMENT)] * 2)
     for name in RECORD:
-        difference = (both[name][0] - both[name][1]) / (2.0 * step)
+        difference = (above[name] - below[name]) / (2.0 * step)
         # central differences over rounded knees have five digits
         scale = np.abs(difference).max()
         np.testing.assert_allclose(recorded[name][1][..., 0], difference, atol=1e-5 * scale)
@@ -144,4 +144,4 @@ def test_sensors_on_links_have_weights_for_each_joint() -> None:
 def test_experiments_on_other_arms_are_rejected() -> None:
     joint = chain([("revolute", [0.0] * 3, [0.0] * 3, [0.0, 0.0, 1.0])])
     with pytest.raises(ValueError, match="expected an experiment on 1 joints, got 2"):
-        joint.simulate(np.zeros((1, 18)), ARM.experiment(**EXPERIMENT))
+        joint.simulate(np.zeros((1, 18)), [ARM.experiment(**EXPERIMENT)])

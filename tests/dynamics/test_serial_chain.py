@@ -121,11 +121,11 @@ def test_sensors_match_mujoco() -> None:
         samples=10,
         record=[*motion, "accelerometer", "gyro", *FORCES, *TURNING, *PRODUCTS, *RATES],
     )
-    record = arm.simulate(parameters[None], experiment)
+    (record,) = arm.simulate(parameters[None], [experiment])
     model = mujoco_chain(joints, bodies, distance).compile()
     data = mujoco.MjData(model)
     for k in range(10):
-        data.qpos, data.qvel, data.qacc = (record[name][0, k] for name in motion)
+        data.qpos, data.qvel, data.qacc = (record[name][k] for name in motion)
         mujoco.mj_inverse(model, data)
         readings = data.sensordata.reshape(n, 3, 3)
         for i, (kind, _, _, axis) in enumerate(joints):
@@ -136,13 +136,13 @@ def test_sensors_match_mujoco() -> None:
             expected = [across @ at_sensor, unit @ rate]
             products = [rate[j] * rate[m] for j, m in PAIRS]
             names = ["accelerometer", "gyro", *FORCES, *PRODUCTS, *RATES]
-            simulated = [record[name][0, k, i] for name in names]
+            simulated = [record[name][k, i] for name in names]
             np.testing.assert_allclose(
                 simulated, [*expected, *at_origin, *products, *rate], rtol=1e-10, atol=1e-9
             )
             # the other accelerometer determines the part of the angular acceleration across x
             place = np.zeros(3) if kind == "prismatic" else distance * x
-            turning = np.array([record[name][0, k, i] for name in TURNING])
+            turning = np.array([record[name][k, i] for name in TURNING])
             reading = at_origin + np.cross(turning, place) + np.cross(rate, np.cross(rate, place))
             np.testing.assert_allclose(reading, at_sensor, rtol=1e-10, atol=1e-9)
 
@@ -179,7 +179,7 @@ def test_elastic_motion_matches_mujoco(types: str) -> None:
         record=["motor_angle", "link_angle", "motor_velocity", "torsion", "gear_torque"],
     )
     parameters = np.concatenate([parameters_of(body) for body in bodies] + [drive] * n)
-    record = arm.simulate(parameters[None], experiment)
+    (record,) = arm.simulate(parameters[None], [experiment])
     spec = mujoco_chain(joints, bodies, 0.3)
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_RK4
     spec.option.timestep = step
@@ -211,7 +211,7 @@ def test_elastic_motion_matches_mujoco(types: str) -> None:
             ("torsion", torsion, 1.0),
         ]:
             # rounding, amplified in some 300 steps
-            np.testing.assert_allclose(record[name][0, k], expected, atol=1e-10 * size)
+            np.testing.assert_allclose(record[name][k], expected, atol=1e-10 * size)
         data.qfrc_applied[motors] = torque[k]
         mujoco.mj_step(model, data, nstep=steps)
 

@@ -279,7 +279,12 @@ impl<A: WithPrograms<N>, const N: usize> Bench<A, N> {
     fn together(&self, width: Width) -> f64 {
         let programs = self.task.config.arm.programs();
         let cases = vec![(self.task.clone(), self.member()); width.lanes()];
-        let all = || programs.simulate_all(&cases, width).iter().all(Result::is_ok);
+        let all = || {
+            programs
+                .simulate_all(&cases, width)
+                .iter()
+                .all(Result::is_ok)
+        };
         self.shortest_time(|| assert!(all())) / cases.len() as f64
     }
 

@@ -161,18 +161,18 @@ impl Arm {
         let arms = parameters.as_array();
         if arms.nrows() != experiments.len() {
             let (rows, count) = (arms.nrows(), experiments.len());
-            let text = format!("parameters has {rows} rows: expected one for each of {count} experiments");
+            let text =
+                format!("parameters has {rows} rows: expected one for each of {count} experiments");
             return Err(PyValueError::new_err(text));
         }
         let arms: Vec<Vec<f64>> = arms.rows().into_iter().map(|row| row.to_vec()).collect();
         let mut cases = Vec::with_capacity(arms.len());
         for (experiment, values) in experiments.iter().zip(&arms) {
+            let experiment = experiment.of(self.n_joints())?;
             self.check(values)?;
-            cases.push((experiment.of(self.n_joints())?, &values[..]));
+            cases.push((experiment, &values[..]));
         }
-        let recordings = py
-            .detach(|| self.0.simulate(&cases))
-            .map_err(divergence)?;
+        let recordings = py.detach(|| self.0.simulate(&cases)).map_err(divergence)?;
         let mut all = Vec::with_capacity(cases.len());
         for (experiment, recording) in experiments.iter().zip(recordings) {
             let shape = [experiment.core.clock.samples, self.n_joints()];

@@ -1,10 +1,10 @@
 //! Experiments on chains whose number of joints the compiler knows.
 
 use super::{Initial, Member, Record, Task};
-use crate::program::Case;
 use crate::actuation::Servo;
 use crate::arm::{SerialChain, first_joints};
 use crate::plant::config::Config;
+use crate::program::Case;
 
 /// Inputs of a member, with arrays of as many numbers as a chain has joints.
 struct Inputs<const LENGTH: usize> {

@@ -103,8 +103,13 @@ impl<'a, A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>
         let plant = task.config.plant_of(parameter);
         let current = task.config.current_loop(task.clock.step);
         let motion = start(&plant, &current, &member.initial, lift);
-        let mut simulation =
-            Self::from_motion(task, member, plant, motion, member.initial.voltage.map(S::splat));
+        let mut simulation = Self::from_motion(
+            task,
+            member,
+            plant,
+            motion,
+            member.initial.voltage.map(S::splat),
+        );
         if let Some(servo) = &task.servo {
             let encoder = encoder_of(task, &simulation.motion);
             simulation.servo = Some(servo.at_rest(&member.initial.voltage, &encoder));
@@ -394,7 +399,11 @@ fn encoder_of<A, S: Real, const N: usize>(task: &Task<A, N>, motion: &Motion<S, 
 
 /// Whether friction holds any motor.
 pub(crate) fn has_held_motors<S: Real, const N: usize>(motion: &Motion<S, N>) -> bool {
-    motion.modes.free.iter().any(|&free| (free - 0.5).any_negative())
+    motion
+        .modes
+        .free
+        .iter()
+        .any(|&free| (free - 0.5).any_negative())
 }
 
 /// +1, -1 or 0 in each lane, without derivatives.

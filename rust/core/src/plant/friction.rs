@@ -192,12 +192,7 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
     }
 
     #[inline(always)]
-    fn compute_smallest_reserve(
-        &self,
-        x: &State<R, N>,
-        torque: &[R; N],
-        modes: &Modes<R, N>,
-    ) -> R {
+    fn compute_smallest_reserve(&self, x: &State<R, N>, torque: &[R; N], modes: &Modes<R, N>) -> R {
         let [holding, limit] = self.holding_torques_and_limits(x, torque, modes);
         let mut smallest = R::splat(0.0);
         for i in 0..self.arm.joints() {
@@ -453,11 +448,7 @@ impl<'a, A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool>
     }
 
     #[inline(always)]
-    fn integrate(
-        &self,
-        part: R,
-        watch: &mut impl Watch<R, N>,
-    ) -> (Motion<R, N>, Margins<R, N>) {
+    fn integrate(&self, part: R, watch: &mut impl Watch<R, N>) -> (Motion<R, N>, Margins<R, N>) {
         let t = part * self.length;
         let torque = self.current.over(&self.from.torque, self.target, t);
         let modes = &self.from.modes;
