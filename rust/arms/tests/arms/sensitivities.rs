@@ -561,7 +561,8 @@ fn check_together<A: WithPrograms<N> + BuiltIn, const N: usize>(
     steps: usize,
 ) {
     let gears = gears.as_ref();
-    let one = |k: u64| Case::<A, N>::random(gears, seed.wrapping_add(k), k % 3 == 0, steps);
+    let one =
+        |k: u64| Case::<A, N>::random(gears, seed.wrapping_add(k), k.is_multiple_of(3), steps);
     let mut cases: Vec<_> = (0..11).map(one).collect();
     let config = cases[0].task.config;
     for (k, case) in cases.iter_mut().enumerate() {
