@@ -152,9 +152,10 @@ def plan_run(
     samples: int,
     record: Sequence[Quantity],
     max_time_step: float,
+    sums: Mapping[Quantity, FloatArray] | None = None,
 ) -> PlannedRun:
-    """Prepare one experiment on one arm; arguments and errors are those of `simulate`."""
-    experiment = _experiment(arm, drive, (sample_time, samples), record, max_time_step)
+    """Prepare one experiment on one arm; arguments and errors are those of `sensitivities`."""
+    experiment = _experiment(arm, drive, (sample_time, samples), record, max_time_step, sums)
     return PlannedRun(arm, _vector(arm, values), experiment)
 
 

@@ -409,11 +409,6 @@ impl<A: Arm<N>, const N: usize> Programs<A, N> {
         width: Width,
     ) -> Vec<Result<Record<N>, Diverged>> {
         width.require();
-        let together = match width {
-            Width::Avx512 => self.fast.together_avx512.or(self.fast.together),
-            _ if width >= Width::COMPILED => self.fast.together,
-            _ => None,
-        };
         let mut results = Vec::with_capacity(cases.len());
         while results.len() < cases.len() {
             let rest = &cases[results.len()..];
@@ -421,7 +416,13 @@ impl<A: Arm<N>, const N: usize> Programs<A, N> {
             let shares = |case: &&Case<'_, A, N>| can_share(first, &case.0);
             let count = rest.iter().take(width.lanes()).take_while(shares).count();
             let has_program = first.config.has_gears::<Slopes>() && !first.config.has_effects();
-            match together.filter(|_| has_program && count > 1) {
+            // the narrowest registers with enough lanes
+            let together = match width {
+                _ if !has_program || count == 1 || width < Width::COMPILED => None,
+                Width::Avx512 if count > Width::Avx2.lanes() => self.fast.together_avx512,
+                _ => self.fast.together,
+            };
+            match together {
                 Some(program) => results.extend(program(&rest[..count])),
                 None => results.push(self.simulate(first, member, width)),
             }

@@ -469,7 +469,7 @@ class Objective:
             return motions
         values, none = self.space.values(z), np.zeros(0)
         records = [self.records[k] for k in plain]
-        plans = run_parallel([partial(r.plan, values, none, r.quantities()) for r in records])
+        plans = run_parallel([partial(record.plan, values, none) for record in records])
         for k, motion in zip(plain, simulate_runs(plans), strict=True):
             motions[k] = motion
         return motions

@@ -183,12 +183,19 @@ class Dataset:
         self, values: Mapping[Key, float], initial: FloatArray, record: Sequence[Quantity]
     ) -> Motion:
         """Simulate the record: arrays (n_samples, n_joints), one per quantity in `record`."""
-        return simulate_runs([self.plan(values, initial, record)])[0]
+        return simulate_runs([self._plan(values, initial, record)])[0]
 
-    def plan(
-        self, values: Mapping[Key, float], initial: FloatArray, record: Sequence[Quantity]
+    def plan(self, values: Mapping[Key, float], initial: FloatArray) -> PlannedRun:
+        """Prepare the simulation of the quantities that `linearise` reads, for `simulate_runs`."""
+        return self._plan(values, initial, list(self._taps), self._sums(values))
+
+    def _plan(
+        self,
+        values: Mapping[Key, float],
+        initial: FloatArray,
+        record: Sequence[Quantity],
+        sums: Mapping[Quantity, FloatArray] | None = None,
     ) -> PlannedRun:
-        """Prepare the simulation of the record for `simulate_runs`."""
         inputs = self._inputs(values)
         return plan_run(
             self._arm_at(values),
@@ -198,7 +205,13 @@ class Dataset:
             samples=len(self.log),
             record=record,
             max_time_step=self._time_step(inputs.values),
+            sums=sums,
         )
+
+    @property
+    def _taps(self) -> dict[Quantity, FloatArray]:
+        """Taps of the low-pass of each quantity that the channels read, signals of links summed."""
+        return {c.summed_quantity: self.kernels.taps(slope=c.reads_angle) for c in self.channels}
 
     def linearise(
         self,
@@ -211,18 +224,19 @@ class Dataset:
 
         The derivatives (n_rows, n_channels, n_directions + n_initial) are those with respect to the
         `directions`, which are parameters and sensor constants, and then to the initial states.
-        `simulated` are the `quantities`, if they are known: without derivatives, they suffice.
+        `simulated` is the run of `plan`, if it is known: without derivatives, it suffices.
         """
         inputs = self._inputs(values)
         by_core = [key for key in directions if not constant_of(key)]
         core_directions = inputs.directions(by_core)
         if not directions and not self.initial_states:  # a plain run is several times faster
-            run = simulated or self.run(values, initial, self.quantities())
-            channels = self.filtered_channels(run, values)
+            if simulated is None:
+                (simulated,) = simulate_runs([self.plan(values, initial)])
+            channels = self._summed_channels(simulated, values)
             channels = (channels + self.step_error_correction) * self.sensor_scales(values)
             return channels + self.drifts(values), np.zeros((*channels.shape, 0))
         resonates = self._has_resonant_mount(values)
-        taps = {c.summed_quantity: self.kernels.taps(slope=c.reads_angle) for c in self.channels}
+        taps = self._taps
         runs = sensitivities(
             self._arm_at(values),
             inputs.values,
@@ -463,7 +477,7 @@ class Dataset:
             _ACCURATE_SHARE * self._stable_time_step(self._inputs(values).values),
         )
         refined = replace(self, max_time_step=max(step, self.max_time_step / _MAX_SHORTENING))
-        return refined.plan(values, initial, self.quantities())
+        return refined._plan(values, initial, self.quantities())
 
     def step_errors(
         self, values: Mapping[Key, float], exact: Motion, simulated: FloatArray
@@ -529,6 +543,14 @@ class Dataset:
         ]
         pairs = zip(readings, self.channels, strict=True)
         return np.stack([self.kernels.rows(x, slope=c.reads_angle) for x, c in pairs], axis=1)
+
+    def _summed_channels(self, runs: Motion, values: Mapping[Key, float]) -> FloatArray:
+        """As `filtered_channels`, from the quantities of `plan`."""
+        if self._has_resonant_mount(values):
+            return self.filtered_channels(runs, values)
+        slopes = {c.summed_quantity: c.reads_angle for c in self.channels}
+        rows = {name: self.kernels.rows(runs[name], slope=slopes[name]) for name in slopes}
+        return self._stack_channels(rows, values)
 
     def _has_resonant_mount(self, values: Mapping[Key, float]) -> bool:
         """Whether any sensor mount resonates, which requires samples instead of rows."""
