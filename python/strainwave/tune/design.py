@@ -10,13 +10,13 @@ from itertools import product
 import numpy as np
 
 from strainwave.domain import FloatArray, IntArray, Payload
-from strainwave.domain.keys import JointNumber, Values, label_of
+from strainwave.domain.keys import JointNumber, label_of
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure
 from strainwave.export.randomisation import drawn_values
 from strainwave.export.source import IdentifiedArm
 from strainwave.io.joint_covariance import IdentifiedNoise, JointCovariance
-from strainwave.numerics.parallel import both, one_blas_thread
+from strainwave.numerics.parallel import one_blas_thread
 from strainwave.tune.cascade_tuning import Loops, tune_cascades
 from strainwave.tune.closed_loop import (
     Clock,
@@ -148,10 +148,26 @@ def design_servo(
     progress("tuning the loops")
     resolutions = np.array([joint.encoder_resolution for joint in arm.study.arm.joints])
     tuned, judged = tune_cascades(loops, options.required, resolutions=resolutions, limits=limits)
+    progress("simulating steps")
     gains, servo, current = [each for each, _ in tuned], arm.study.arm.servo, None
     if servo is not None:
         of_joints = servo.kp, servo.ki, servo.position_gain or (0.0,) * len(servo.kp)
         current = [Gains(*each, clock.period) for each in zip(*of_joints, strict=True)]
+    results = _results(judged, loops.sampled, gains)
+    if options.bandwidth_hz is not None:
+        _check_bandwidth([limit for _, limit in tuned], results, options.bandwidth_hz, clock)
+    if unstable := _count_unstable(loops.sampled, gains):
+        raise InvalidInput(
+            f"the loops together leave {unstable} of {len(plants)} plants unstable",
+            where="the servo design",
+            remedy="require larger margins or fewer payloads, or shorten period and delay",
+        )
+    n_unstable = _count_unstable(loops.sampled, current) if current else 0
+    of_current: Sequence[LoopResults | None] = [None] * len(tuned)
+    if current and not n_unstable:
+        of_current = _results(loops.judge(loops.controllers(current)), loops.sampled, current)
+    progress("ranking shapers")
+    modes, shapers = _shapers(plants, clock)
     progress("designing observers")
     observers = design_observers(arm, conditions[0], clock, noise)
     by_encoders, by_motors = (
@@ -160,25 +176,23 @@ def design_servo(
         )
         for is_known in (True, False)
     )
-    margins = [each for each, _ in judged]
-
-    def verified() -> _Verified:
-        return _verify(loops, (gains, current), judged)
-
-    def damped() -> tuple[Damping, ...]:
-        return design_damping(loops, gains, by_motors, options.required, margins)
-
-    def compared() -> _Compared:
-        pair = (observers, by_encoders)
-        return _compare(arm, (gains, current), pair, draws, conditions[0].posture, limits)
-
-    progress("simulating steps and moves, ranking shapers")
-    (loop_results, dampings), (compared_moves, (modes, shapers)) = both(
-        lambda: both(verified, damped), lambda: both(compared, lambda: _shapers(plants, clock))
+    dampings = design_damping(
+        loops, gains, by_motors, options.required, [each.margins for each in results]
     )
-    if options.bandwidth_hz is not None:
-        reasons = [limit for _, limit in tuned]
-        _check_bandwidth(reasons, loop_results.designed, options.bandwidth_hz, clock)
+    progress("comparing moves")
+    posture = conditions[0].posture
+    moves: tuple[MoveComparison, ...] = ()
+    estimation: tuple[EstimationError, ...] = ()
+    refusal, unchecked = "", ""
+    try:
+        few = draws[: _N_MOVE_DRAWS + 1]
+        moves = compare_moves(arm, (gains, current), few, posture, limits)
+        if observers:
+            pair, few = (observers, by_encoders), draws[: _N_ESTIMATION_DRAWS + 1]
+            estimation = errors_in_a_move(arm, pair, few, gains, posture, limits)
+    except (InvalidInput, NumericalFailure) as error:
+        unchecked = getattr(error, "problem", str(error))
+        refusal = "" if moves else unchecked
     return ServoDesign(
         arm=arm,
         options=options,
@@ -187,15 +201,9 @@ def design_servo(
         conditions=conditions,
         draw=plants.draw,
         condition=plants.condition,
-        n_unstable=loop_results.n_unstable,
+        n_unstable=n_unstable,
         joints=tuple(
-            JointServo(
-                i + 1,
-                *each,
-                loop_results.designed[i],
-                current[i] if current else None,
-                loop_results.current[i],
-            )
+            JointServo(i + 1, *each, results[i], current[i] if current else None, of_current[i])
             for i, each in enumerate(tuned)
         ),
         first_share=next(
@@ -210,74 +218,11 @@ def design_servo(
         shapers=shapers,
         observers=observers,
         dampings=dampings,
-        estimation=compared_moves.estimation,
-        moves=compared_moves.moves,
-        refusal=compared_moves.refusal,
-        unchecked=compared_moves.unchecked,
+        estimation=estimation,
+        moves=moves,
+        refusal=refusal,
+        unchecked=unchecked,
     )
-
-
-@dataclass(frozen=True, slots=True)
-class _Verified:
-    """Results of the loops over all plants."""
-
-    designed: list[LoopResults]
-    current: Sequence[LoopResults | None]  # None if a plant is unstable under the current servo
-    n_unstable: int  # plants that the current servo leaves unstable
-
-
-def _verify(
-    loops: Loops,
-    servos: tuple[Sequence[Gains], Sequence[Gains] | None],
-    judged: Sequence[tuple[Margins, LoopBand]],
-) -> _Verified:
-    """Results of the designed servo, which must be stable, and of the current one, if any."""
-    gains, current = servos
-    results = _results(judged, loops.sampled, gains)
-    if unstable := _count_unstable(loops.sampled, gains):
-        raise InvalidInput(
-            f"the loops together leave {unstable} of {len(loops.plants)} plants unstable",
-            where="the servo design",
-            remedy="require larger margins or fewer payloads, or shorten period and delay",
-        )
-    of_current: Sequence[LoopResults | None] = [None] * len(gains)
-    n_unstable = _count_unstable(loops.sampled, current) if current else 0
-    if current and not n_unstable:
-        of_current = _results(loops.judge(loops.controllers(current)), loops.sampled, current)
-    return _Verified(results, of_current, n_unstable)
-
-
-@dataclass(frozen=True, slots=True)
-class _Compared:
-    """Simulated moves and errors of the observers, with what prevents them."""
-
-    moves: tuple[MoveComparison, ...]
-    estimation: tuple[EstimationError, ...]
-    refusal: str
-    unchecked: str
-
-
-def _compare(
-    arm: IdentifiedArm,
-    servos: tuple[Sequence[Gains], Sequence[Gains] | None],
-    observers: tuple[Sequence[Observer], Sequence[Observer]],
-    draws: Sequence[Values],
-    posture: FloatArray,
-    limits: FloatArray,
-) -> _Compared:
-    """Moves under the servos, and estimates of the observers with link sensors and without."""
-    moves: tuple[MoveComparison, ...] = ()
-    estimation: tuple[EstimationError, ...] = ()
-    refusal, unchecked = "", ""
-    try:
-        moves = compare_moves(arm, servos, draws[: _N_MOVE_DRAWS + 1], posture, limits)
-        if observers[0]:
-            few = draws[: _N_ESTIMATION_DRAWS + 1]
-            estimation = errors_in_a_move(arm, observers, few, servos[0], posture, limits)
-    except (InvalidInput, NumericalFailure) as error:
-        unchecked = getattr(error, "problem", str(error))
-        refusal = "" if moves else unchecked
-    return _Compared(moves, estimation, refusal, unchecked)
 
 
 def _drives(arm: IdentifiedArm, options: ServoOptions) -> tuple[Clock, FloatArray]:
