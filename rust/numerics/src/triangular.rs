@@ -13,10 +13,11 @@ use crate::products::{BASELINE_IS_FUSED, multiply_add};
 const PANEL: usize = 8;
 /// Rows of a block: a panel of them and one of the reflections fit into the first-level cache.
 const BLOCK: usize = 192;
-/// Rows whose updates are kept in registers; `BLOCK` is a multiple.
-const TILE_ROWS: usize = 6;
-/// Reflections whose products are kept in registers.
-const TILE_REFLECTIONS: usize = 4;
+/// Rows whose updates are kept in registers (`ROWS` below), and those with AVX-512; `BLOCK` is a
+/// multiple.
+const TILE_ROWS: [usize; 2] = [6, 12];
+/// Reflections whose products are kept in registers (`REFLECTIONS` below), and those with AVX-512.
+const TILE_REFLECTIONS: [usize; 2] = [4, 8];
 /// Sums over every third row, so that no sum waits for the previous one; a divisor of `TILE_ROWS`.
 const SEPARATE_SUMS: usize = 3;
 /// Sum of squares below which a column is zero: smaller sums are inaccurate.
@@ -90,7 +91,7 @@ impl TriangularFactor {
 
     /// R, (columns, columns) row-major. Row j is zero if all entries of column j are.
     pub fn finish(mut self) -> Vec<f64> {
-        let padded = self.rows.next_multiple_of(TILE_ROWS);
+        let padded = self.rows.next_multiple_of(TILE_ROWS[1]);
         for panel in self.block.chunks_exact_mut(BLOCK) {
             panel[self.rows..padded].fill(ZERO_ROW);
         }
@@ -107,26 +108,37 @@ impl TriangularFactor {
     fn reduce(&mut self) {
         #[cfg(target_arch = "x86_64")]
         if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
+            if is_x86_feature_detected!("avx512f") {
+                // SAFETY: all features have just been detected.
+                return unsafe { self.reduce_avx512() };
+            }
             // SAFETY: both features have just been detected.
             return unsafe { self.reduce_avx2() };
         }
-        self.reduce_with::<BASELINE_IS_FUSED>();
+        self.reduce_with::<BASELINE_IS_FUSED, { TILE_ROWS[0] }, { TILE_REFLECTIONS[0] }>();
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx2,fma,avx512f")]
+    fn reduce_avx512(&mut self) {
+        self.reduce_with::<true, { TILE_ROWS[1] }, { TILE_REFLECTIONS[1] }>();
     }
 
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx2,fma")]
     fn reduce_avx2(&mut self) {
-        self.reduce_with::<true>();
+        self.reduce_with::<true, { TILE_ROWS[0] }, { TILE_REFLECTIONS[0] }>();
     }
 
     #[inline(always)]
-    fn reduce_with<const FUSED: bool>(&mut self) {
+    fn reduce_with<const FUSED: bool, const ROWS: usize, const REFLECTIONS: usize>(&mut self) {
         for j in 0..self.panels {
             let (earlier, later) = self.block.split_at_mut(j * BLOCK);
             let panel = &mut later[..self.rows];
             for (i, x) in earlier.chunks_exact(BLOCK).enumerate() {
                 let r = &mut self.r[i * self.panels + j];
-                self.reflections[i].apply::<FUSED>(&x[..self.rows], r, panel);
+                let x = &x[..self.rows];
+                self.reflections[i].apply::<FUSED, ROWS, REFLECTIONS>(x, r, panel);
             }
             self.reflections[j] = annihilate::<FUSED>(&mut self.r[j * self.panels + j], panel);
         }
@@ -232,9 +244,14 @@ impl WeightedRows<'_> {
 impl Reflections {
     /// Applies the reflections with the entries `x` in the block to columns of R and of the block.
     #[inline(always)]
-    fn apply<const FUSED: bool>(&self, x: &[Row], r: &mut Tile, block: &mut [Row]) {
+    fn apply<const FUSED: bool, const ROWS: usize, const REFLECTIONS: usize>(
+        &self,
+        x: &[Row],
+        r: &mut Tile,
+        block: &mut [Row],
+    ) {
         // V' [R; block]
-        let mut sums = products::<FUSED>(x, block);
+        let mut sums = products::<FUSED, REFLECTIONS>(x, block);
         for k in 0..PANEL {
             for b in 0..PANEL {
                 sums[k][b] = multiply_add::<FUSED>(self.scale[k], sums[k][b], r[k][b]);
@@ -253,7 +270,7 @@ impl Reflections {
                 steps[a][b] *= -self.scale[a];
             }
         }
-        add_multiples::<FUSED>(block, x, &steps);
+        add_multiples::<FUSED, ROWS>(block, x, &steps);
     }
 }
 
@@ -325,13 +342,13 @@ fn update<const FUSED: bool>(
 
 /// Sums x' block over the rows.
 #[inline(always)]
-fn products<const FUSED: bool>(x: &[Row], block: &[Row]) -> Tile {
+fn products<const FUSED: bool, const REFLECTIONS: usize>(x: &[Row], block: &[Row]) -> Tile {
     let mut sums = ZERO_TILE;
-    for (part, target) in sums.chunks_exact_mut(TILE_REFLECTIONS).enumerate() {
-        let first = part * TILE_REFLECTIONS;
-        let mut tile = [[0.0; PANEL]; TILE_REFLECTIONS];
+    for (part, target) in sums.chunks_exact_mut(REFLECTIONS).enumerate() {
+        let first = part * REFLECTIONS;
+        let mut tile = [[0.0; PANEL]; REFLECTIONS];
         for (Row(x), Row(row)) in x.iter().zip(block) {
-            for a in 0..TILE_REFLECTIONS {
+            for a in 0..REFLECTIONS {
                 for b in 0..PANEL {
                     tile[a][b] = multiply_add::<FUSED>(x[first + a], row[b], tile[a][b]);
                 }
@@ -344,12 +361,12 @@ fn products<const FUSED: bool>(x: &[Row], block: &[Row]) -> Tile {
 
 /// Adds x steps to the rows of a block.
 #[inline(always)]
-fn add_multiples<const FUSED: bool>(block: &mut [Row], x: &[Row], steps: &Tile) {
-    let tiles = block.chunks_exact_mut(TILE_ROWS);
-    for (rows, x) in tiles.zip(x.chunks_exact(TILE_ROWS)) {
-        let mut tile: [[f64; PANEL]; TILE_ROWS] = std::array::from_fn(|a| rows[a].0);
+fn add_multiples<const FUSED: bool, const ROWS: usize>(block: &mut [Row], x: &[Row], steps: &Tile) {
+    let tiles = block.chunks_exact_mut(ROWS);
+    for (rows, x) in tiles.zip(x.chunks_exact(ROWS)) {
+        let mut tile: [[f64; PANEL]; ROWS] = std::array::from_fn(|a| rows[a].0);
         for k in 0..PANEL {
-            for a in 0..TILE_ROWS {
+            for a in 0..ROWS {
                 for b in 0..PANEL {
                     tile[a][b] = multiply_add::<FUSED>(x[a].0[k], steps[k][b], tile[a][b]);
                 }

@@ -216,7 +216,7 @@ fn plain_and_fused_agree() {
         factor
     };
     let (mut plain, mut best) = (filled(), filled());
-    plain.reduce_with::<false>();
+    plain.reduce_with::<false, { TILE_ROWS[0] }, { TILE_REFLECTIONS[0] }>();
     best.reduce();
     for (a, b) in plain.finish().iter().zip(best.finish()) {
         assert!((a - b).abs() < 1e-9);
