@@ -46,6 +46,7 @@ from strainwave.domain.study import Channel
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import SensorNoise, simulate
 from strainwave.io.study import read_study
+from strainwave.numerics.parallel import configure_worker
 from strainwave.pipeline import STAGES, identify
 from strainwave.virtual.experiments import Simulator, derived, simulate_study
 
@@ -273,6 +274,7 @@ def evaluate(
     seed: int, stages: tuple[str, ...], numbers: Sequence[int], sensors: Sequence[str] = _SENSORS
 ) -> dict[str, Any]:
     """Draw, simulate and identify one chain; a failure is returned as a result."""
+    configure_worker()  # as the command, which keeps freed memory
     return identify_chain(draw_chain(seed, numbers, sensors), seed, stages)
 
 
