@@ -25,6 +25,7 @@ use crate::actuation::current_loop::CurrentLoop;
 use crate::arm::Arm;
 use crate::arm::transmission::{coupled, link_of};
 use crate::joint::gear::Gears;
+use crate::plant::event_time::{Decay, root};
 use crate::plant::outlined::{BeginWork, HoldingWork};
 use crate::plant::{Instant, Modes, Plant, State, Watch};
 use crate::scalar::{Real, run_out_of_line, works};
@@ -35,9 +36,6 @@ use crate::scalar::{Real, run_out_of_line, works};
 /// More events require a torque that changes sign many times within a step, which the step cannot
 /// resolve.
 const MAX_STEP_EVENTS: usize = 12;
-
-/// Fraction of a span after which the initial slope of a margin is evaluated.
-const SLOPE_PROBE: f64 = 1e-4;
 
 /// Motion of one arm: state, motor torques and friction modes.
 #[derive(Clone, Copy, Debug)]
@@ -514,161 +512,6 @@ impl<'a, A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool>
             at_end = margins;
         }
         first
-    }
-}
-
-/// A known part of a function: `size exp(-rate x)`.
-#[derive(Clone, Copy, Default)]
-struct Decay {
-    size: f64,
-    rate: f64,
-}
-
-impl Decay {
-    /// Value and slope.
-    fn at(&self, x: f64) -> [f64; 2] {
-        if self.size == 0.0 {
-            return [0.0; 2];
-        }
-        let value = self.size * (-self.rate * x).exp();
-        [value, -self.rate * value]
-    }
-}
-
-/// The root on [0, 1] of a function that is negative at the end.
-///
-/// Each estimate is the root of the sum of a known part and the polynomial through all values so far,
-/// and the `slope` at 0 if it is given, unless that is outside of the bracket. The value at the root is
-/// at most 1e-12 of those at the ends, or its rounding error.
-fn root(
-    mut f: impl FnMut(f64) -> f64,
-    [begin, end]: [f64; 2],
-    slope: Option<f64>,
-    known: Decay,
-) -> f64 {
-    let tiny = 1e-12 * (begin.abs() + end.abs());
-    let mut through = Polynomial::new((0.0, begin), known);
-    if let Some(slope) = slope {
-        through.add_slope(slope);
-    }
-    through.add(1.0, end);
-    let (mut positive, mut negative) = ((0.0, begin), (1.0, end));
-    if begin <= tiny {
-        // The function begins at zero, or below where a torque jumps. If it increases from that
-        // point, the root is beyond the maximum, which may be before half of the parabola's span.
-        let slope = slope.unwrap_or_else(|| {
-            let value = f(SLOPE_PROBE);
-            through.add(SLOPE_PROBE, value);
-            (value - begin) / SLOPE_PROBE
-        });
-        let bend = end - begin - slope;
-        if slope <= 0.0 || begin < -1e3 * tiny || bend >= 0.0 {
-            return 0.0;
-        }
-        let mut part = -0.5 * slope / bend;
-        let mut value = f(part);
-        while value <= tiny {
-            negative = (part, value);
-            part *= 0.25;
-            if part < 1e-12 {
-                return 0.0;
-            }
-            value = f(part);
-        }
-        positive = (part, value);
-        through.add(part, value);
-    }
-    let mut last = f64::INFINITY;
-    for _ in 0..60 {
-        let (low, high) = (positive.0, negative.0);
-        let chord = low + (high - low) * positive.1 / (positive.1 - negative.1);
-        let estimate = through.root_near(chord);
-        let next = if estimate > low && estimate < high {
-            estimate
-        } else {
-            chord
-        };
-        let value = f(next);
-        if value.abs() <= tiny || (next - last).abs() < NEGLIGIBLE_CHANGE * next {
-            return next;
-        }
-        last = next;
-        if value > 0.0 {
-            positive = (next, value);
-        } else {
-            negative = (next, value);
-        }
-        if !through.add(next, value) {
-            through = Polynomial::new(positive, known);
-            through.add(negative.0, negative.1);
-        }
-    }
-    positive.0
-}
-
-/// Relative change of the estimate of a root after which its error is that of rounding in the function.
-const NEGLIGIBLE_CHANGE: f64 = 1e-8;
-
-/// Most nodes of a [`Polynomial`].
-const MAX_NODES: usize = 7;
-
-/// A known part and a polynomial, in Newton's form, through the values at some nodes.
-struct Polynomial {
-    known: Decay,
-    coefficients: [f64; MAX_NODES],
-    nodes: [f64; MAX_NODES],
-    count: usize,
-}
-
-impl Polynomial {
-    /// Through one value.
-    fn new((node, value): (f64, f64), known: Decay) -> Self {
-        let value = value - known.at(node)[0];
-        Self {
-            known,
-            coefficients: [value; MAX_NODES],
-            nodes: [node; MAX_NODES],
-            count: 1,
-        }
-    }
-
-    /// Adds the slope at the first node, as the second value.
-    fn add_slope(&mut self, slope: f64) {
-        self.coefficients[1] = slope - self.known.at(self.nodes[0])[1];
-        self.count = 2;
-    }
-
-    /// Adds the value at another node; returns whether there was room.
-    fn add(&mut self, node: f64, value: f64) -> bool {
-        if self.count == MAX_NODES {
-            return false;
-        }
-        let distances = self.nodes[..self.count].iter().map(|other| node - other);
-        self.coefficients[self.count] = (value - self.at(node)[0]) / distances.product::<f64>();
-        self.nodes[self.count] = node;
-        self.count += 1;
-        true
-    }
-
-    /// Value and slope.
-    fn at(&self, x: f64) -> [f64; 2] {
-        let [mut value, mut slope] = [0.0; 2];
-        for k in (0..self.count).rev() {
-            let distance = x - self.nodes[k];
-            slope = slope * distance + value;
-            value = value * distance + self.coefficients[k];
-        }
-        let known = self.known.at(x);
-        [value + known[0], slope + known[1]]
-    }
-
-    /// A root near `x`, by Newton's method.
-    fn root_near(&self, mut x: f64) -> f64 {
-        for _ in 0..6 {
-            let [value, slope] = self.at(x);
-            x -= value / slope;
-        }
-        x
     }
 }
 

@@ -12,6 +12,7 @@ pub mod config;
 mod drive_trains;
 mod effect_states;
 mod energy;
+mod event_time;
 pub mod friction;
 mod outlined;
 pub mod rigid;
