@@ -235,6 +235,7 @@ class LinearRecord(Dataset):
     table: FloatArray  # (n_rows, n_channels, n_unknowns)
 
     def plan(self, *_: object) -> PlannedRun:
+        """A run of the true arm, which `linearise` does not read."""
         values = truth()[1]
         return plan_run(
             self.arm,

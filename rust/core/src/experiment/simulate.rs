@@ -103,13 +103,8 @@ impl<'a, A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>
         let plant = task.config.plant_of(parameter);
         let current = task.config.current_loop(task.clock.step);
         let motion = start(&plant, &current, &member.initial, lift);
-        let mut simulation = Self::from_motion(
-            task,
-            member,
-            plant,
-            motion,
-            member.initial.voltage.map(S::splat),
-        );
+        let voltage = member.initial.voltage.map(S::splat);
+        let mut simulation = Self::from_motion(task, member, (plant, current), motion, voltage);
         if let Some(servo) = &task.servo {
             let encoder = encoder_of(task, &simulation.motion);
             simulation.servo = Some(servo.at_rest(&member.initial.voltage, &encoder));
@@ -121,7 +116,7 @@ impl<'a, A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>
     pub(crate) fn from_motion(
         task: &'a Task<A, N>,
         member: &'a Member<'a, N>,
-        plant: Plant<A, S, G, N, EFFECTS>,
+        (plant, current): (Plant<A, S, G, N, EFFECTS>, CurrentLoop<S, N>),
         motion: Motion<S, N>,
         voltage: [S; N],
     ) -> Self {
@@ -133,7 +128,7 @@ impl<'a, A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>
             member,
             has_drive_lag: plant.joints.iter().any(lag),
             plant,
-            current: task.config.current_loop(task.clock.step),
+            current,
             has_held_motors: has_held_motors(&motion),
             target: motion.torque,
             motion,

@@ -12,7 +12,7 @@ use crate::joint::gear::Gears;
 use crate::plant::Instant;
 use crate::plant::friction::{Margins, Motion};
 use crate::program::Case;
-use crate::scalar::{Real, Work, works};
+use crate::scalar::{Real, Work, in_lane, works};
 
 /// Experiments on one arm without effects, whose clocks differ in the number of samples only and
 /// which record the same quantities: at most `V::LANES`, with a scalar `S` for each alone.
@@ -34,6 +34,9 @@ impl<'a, A, S, V, G, const N: usize> SimulateTogether<'a, A, S, V, G, N> {
     }
 }
 
+/// Relative difference of steps that are equal but for rounding.
+const STEP_ROUNDING: f64 = 1e-12;
+
 /// Whether two experiments on one arm can be simulated together. Steps that differ by rounding are
 /// equal.
 pub fn can_share<A, const N: usize>(one: &Task<A, N>, other: &Task<A, N>) -> bool {
@@ -43,7 +46,7 @@ pub fn can_share<A, const N: usize>(one: &Task<A, N>, other: &Task<A, N>) -> boo
         samples,
         ..other.clock
     };
-    let is_equal = (other.clock.step - step).abs() < 1e-12 * step && one.clock == alike;
+    let is_equal = (other.clock.step - step).abs() < STEP_ROUNDING * step && one.clock == alike;
     is_equal && one.record == other.record && one.link_sensors == other.link_sensors
 }
 
@@ -99,7 +102,13 @@ impl<'a, A: Arm<N>, S: Real, V: Real, G: Gears, const N: usize> Together<'a, A, 
         let voltage = std::array::from_fn(|i| from(&|l| lanes[l].voltage[i].lane(0)));
         Self {
             task,
-            all: Simulation::from_motion(task, member, plant, motion, voltage),
+            all: Simulation::from_motion(
+                task,
+                member,
+                (plant, task.config.current_loop(task.clock.step)),
+                motion,
+                voltage,
+            ),
             lanes,
         }
     }
@@ -198,10 +207,6 @@ impl<'a, A: Arm<N>, S: Real, V: Real, G: Gears, const N: usize> Together<'a, A, 
         }
         self.all.has_held_motors = has_held_motors(&self.all.motion);
     }
-}
-
-fn in_lane<V: Real, S: Real, const N: usize>(numbers: &[V; N], lane: usize) -> [S; N] {
-    numbers.map(|number| S::splat(number.lane(lane)))
 }
 
 works! {

@@ -28,7 +28,7 @@ use crate::joint::gear::Gears;
 use crate::plant::event_time::{Decay, root};
 use crate::plant::outlined::{BeginWork, HoldingWork};
 use crate::plant::{Instant, Modes, Plant, State, Watch};
-use crate::scalar::{Real, run_out_of_line, works};
+use crate::scalar::{Real, in_lane, run_out_of_line, works};
 
 /// Largest number of events within one step. After that, motors at rest are held until the step
 /// ends.
@@ -63,11 +63,10 @@ pub struct Margins<R, const N: usize> {
 impl<R: Real, const N: usize> Margins<R, N> {
     /// In one lane.
     pub(crate) fn lane<S: Real>(&self, lane: usize) -> Margins<S, N> {
-        let one = |numbers: &[R; N]| numbers.map(|number| S::splat(number.lane(lane)));
         Margins {
-            margin: one(&self.margin),
-            holding: one(&self.holding),
-            limit: one(&self.limit),
+            margin: in_lane(&self.margin, lane),
+            holding: in_lane(&self.holding, lane),
+            limit: in_lane(&self.limit, lane),
         }
     }
 
@@ -99,20 +98,19 @@ impl<R: Real, const N: usize> Motion<R, N> {
 
     /// The motion in one lane, without effects.
     pub(crate) fn lane<S: Real>(&self, lane: usize) -> Motion<S, N> {
-        let one = |numbers: &[R; N]| numbers.map(|number| S::splat(number.lane(lane)));
         let (state, modes) = (&self.state, &self.modes);
         Motion {
             state: State {
-                motor_angle: one(&state.motor_angle),
-                motor_velocity: one(&state.motor_velocity),
-                link_angle: one(&state.link_angle),
-                link_velocity: one(&state.link_velocity),
+                motor_angle: in_lane(&state.motor_angle, lane),
+                motor_velocity: in_lane(&state.motor_velocity, lane),
+                link_angle: in_lane(&state.link_angle, lane),
+                link_velocity: in_lane(&state.link_velocity, lane),
                 ..State::zero()
             },
-            torque: one(&self.torque),
+            torque: in_lane(&self.torque, lane),
             modes: Modes {
-                direction: one(&modes.direction),
-                free: one(&modes.free),
+                direction: in_lane(&modes.direction, lane),
+                free: in_lane(&modes.free, lane),
             },
         }
     }

@@ -12,6 +12,7 @@ mod work;
 pub(crate) use aligned::Aligned;
 pub use dual::Dual;
 pub use jet::Jet;
+pub(crate) use real::in_lane;
 pub use real::{Lanes, MAX_LANES, Real};
 pub(crate) use solve::{inverse, solve, symmetrise};
 pub use work::Work;

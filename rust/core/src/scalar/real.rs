@@ -148,6 +148,12 @@ pub trait Real:
     }
 }
 
+/// The numbers of several joints in one lane.
+#[inline(always)]
+pub(crate) fn in_lane<R: Real, S: Real, const N: usize>(numbers: &[R; N], lane: usize) -> [S; N] {
+    numbers.map(|number| S::splat(number.lane(lane)))
+}
+
 /// 1/1!, -1/3!, 1/5!, ... highest power first.
 const SINE: [f64; 8] = [
     -7.647_163_731_819_816e-13,

@@ -232,7 +232,7 @@ class Dataset:
         if not directions and not self.initial_states:  # a plain run is several times faster
             if simulated is None:
                 (simulated,) = simulate_runs([self.plan(values, initial)])
-            channels = self._summed_channels(simulated, values)
+            channels = self.filtered_channels(simulated, values)
             channels = (channels + self.step_error_correction) * self.sensor_scales(values)
             return channels + self.drifts(values), np.zeros((*channels.shape, 0))
         resonates = self._has_resonant_mount(values)
@@ -544,14 +544,6 @@ class Dataset:
         pairs = zip(readings, self.channels, strict=True)
         return np.stack([self.kernels.rows(x, slope=c.reads_angle) for x, c in pairs], axis=1)
 
-    def _summed_channels(self, runs: Motion, values: Mapping[Key, float]) -> FloatArray:
-        """As `filtered_channels`, from the quantities of `plan`."""
-        if self._has_resonant_mount(values):
-            return self.filtered_channels(runs, values)
-        slopes = {c.summed_quantity: c.reads_angle for c in self.channels}
-        rows = {name: self.kernels.rows(runs[name], slope=slopes[name]) for name in slopes}
-        return self._stack_channels(rows, values)
-
     def _has_resonant_mount(self, values: Mapping[Key, float]) -> bool:
         """Whether any sensor mount resonates, which requires samples instead of rows."""
         return any(mount_resonance(channel, values) for channel in self.channels)
@@ -564,8 +556,9 @@ class Dataset:
         return samples if mount is None else mount.read(samples, self.log.sample_time)
 
     def rows(self, runs: Mapping[Quantity, FloatArray]) -> dict[Quantity, FloatArray]:
-        """Rows (n_rows, n_joints, ...) of each quantity from its samples."""
-        kinds = dict.fromkeys((name, c.reads_angle) for c in self.channels for name in c.quantities)
+        """Rows (n_rows, n_joints, ...) of each quantity, or sum of signals, from its samples."""
+        names = [(c.reads_angle, (c.summed_quantity, *c.quantities)) for c in self.channels]
+        kinds = dict.fromkeys((name, rate) for rate, of in names for name in of if name in runs)
         return {name: self.kernels.rows(runs[name], slope=rate) for name, rate in kinds}
 
     def _stack_channels(
