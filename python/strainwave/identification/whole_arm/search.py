@@ -229,24 +229,33 @@ def refine(
     for `rough`.
     """
     for _ in range(_MAX_WEIGHT_UPDATES):
-        if fit.iterations >= options.max_iterations:
-            return replace(fit, end=SearchEnd.EVALUATION_LIMIT)
-        fit = search_minimum(
-            fit,
-            options,
-            tolerance=tolerance,
-            damping=_NEAR_DAMPING,
-            near=True,
-            rough=rough,
-            max_evaluations=_MAX_EVALUATIONS_PER_WEIGHTS,
-        )
-        if fit.end is SearchEnd.EVALUATION_LIMIT and fit.iterations < options.max_iterations:
-            fit = replace(fit, end=SearchEnd.STALLED)
+        # weights hardly change within a standard deviation of the minimum
+        fit = _search_near(fit, options, max(tolerance, COARSE_TOLERANCE), rough)
         updated = fit.objective.update_weights(fit.z)
         changes = [np.max(np.abs(np.log(one))) for one in _changes(fit.objective, updated)]
         if not fit.end.is_minimum or all(one < _WEIGHT_TOLERANCE for one in changes):
             break
         fit = replace(fit, objective=updated)
+    if tolerance < COARSE_TOLERANCE and fit.end.is_minimum:
+        fit = _search_near(fit, options, tolerance, rough)
+    return fit
+
+
+def _search_near(fit: Fit, options: WholeArmOptions, tolerance: float, rough: bool) -> Fit:
+    """Search near the minimum with the same weights."""
+    if fit.iterations >= options.max_iterations:
+        return replace(fit, end=SearchEnd.EVALUATION_LIMIT)
+    fit = search_minimum(
+        fit,
+        options,
+        tolerance=tolerance,
+        damping=_NEAR_DAMPING,
+        near=True,
+        rough=rough,
+        max_evaluations=_MAX_EVALUATIONS_PER_WEIGHTS,
+    )
+    if fit.end is SearchEnd.EVALUATION_LIMIT and fit.iterations < options.max_iterations:
+        fit = replace(fit, end=SearchEnd.STALLED)
     return fit
 
 

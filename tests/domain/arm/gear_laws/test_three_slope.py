@@ -44,6 +44,20 @@ def test_a_knee_at_zero_is_removed() -> None:
     assert estimates == {K1: K2, K2: K3, K3: None, T1: T2, T2: None}
 
 
+@pytest.mark.parametrize(
+    ("std", "k1"),
+    [(1.2, K2), (0.5, None)],  # of the knee; the slope above the knee is determined, as k1 or as k2
+)
+def test_a_knee_that_may_be_zero_is_removed(std: float, k1: str | None) -> None:
+    estimates = identified_for(**{K1: 0.5, T1: std})
+    assert estimates[K1] == k1
+    assert estimates[T1] == (T2 if k1 else None)
+
+
+def test_a_precise_slope_stays_although_its_knee_may_be_zero() -> None:
+    assert identified_for(**{K2: 0.5, T1: 1.2})[K1] == K1
+
+
 def test_a_small_knee_that_the_data_determine_stays() -> None:
     values = CURVE | {T1: 0.1}
     each = 1e-3 * np.array([values[name] for name in LAW.names])

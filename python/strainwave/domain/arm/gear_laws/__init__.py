@@ -227,11 +227,12 @@ class ThreeSlope(GearLaw):
     ) -> Mapping[str, str | None]:
         """Estimate that represents each slope and knee; None if no record determines it.
 
-        A knee that is small and not significant, beyond the largest torque, or between equal slopes
-        is removed; the slopes and knees above it move down by one, and the last of each is not
-        identified. Two close knees are one, without a slope between them. The more precise of two
-        equal slopes represents both. If two slopes are neither distinct nor equal,
-        the less precise of them and the knee between them are not identified.
+        A knee is removed that is beyond the largest torque or between equal slopes, or not
+        significant and small or, below a more precise slope, within its standard deviation of zero.
+        The slopes and knees above it move down by one, and the last of each is not identified. Two
+        close knees are one, without a slope between them. The more precise of two equal slopes
+        represents both. If two slopes are neither distinct nor equal, the less precise of them and
+        the knee between them are not identified.
         """
         index = {name: k for k, name in enumerate(self.names)}
         last = SLOPES[0]
@@ -249,8 +250,10 @@ class ThreeSlope(GearLaw):
             is_certain = difference > margin and values[knee] ** 2 > (
                 _MIN_DISTINCT_DIFFERENCE_STD**2 * covariance[at, at]
             )
-            at_zero = values[knee] < _MIN_KNEE_TORQUE * largest_torque and not is_certain
             is_more_precise = bool(covariance[b, b] < covariance[a, a])
+            is_small = values[knee] < _MIN_KNEE_TORQUE * largest_torque
+            may_be_zero = is_more_precise and values[knee] ** 2 < covariance[at, at]
+            at_zero = (is_small or may_be_zero) and not is_certain
             position = slopes.index(last)
             is_equal = difference + margin < _MAX_EQUAL_DIFFERENCE * values[last]
             if difference > max(_MIN_SLOPE_DIFFERENCE * values[last], margin) and not at_zero:
