@@ -317,9 +317,10 @@ class EffectColumns:
         """
         objective, n = fit.objective, len(fit.space.unknowns)
         passes: dict[tuple[int, bool], dict[EffectHypothesis, Shapes]] = {}
-        for one, shapes in tested.items():
+        # effect by effect: blocks of directions with effects of the drive take longer
+        for one in sorted(tested, key=lambda one: one.effect):
             key = one.number, effect_named(one.effect).tested_law is not None
-            passes.setdefault(key, {})[one] = shapes
+            passes.setdefault(key, {})[one] = tested[one]
         sizes = {
             one: sizes_of(one.named_effect, fit.records)
             for key in sorted(passes)
