@@ -144,6 +144,7 @@ class Arm:
         experiment: Experiment,
         with_respect_to: Sequence[tuple[str, int | None]],
         *,
+        variants: Sequence[tuple[NDArray[np.float64], Sequence[tuple[str, int | None]]]] = ...,
         taps: Sequence[NDArray[np.float64]] | None = None,
         samples_per_row: int = 1,
     ) -> dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]]:
@@ -153,7 +154,9 @@ class Arm:
         (samples, n_joints, n_directions). A direction is a name of `parameter_names`, or
         `initial_motor_angle`, `initial_motor_velocity`, `initial_link_angle` or
         `initial_link_velocity` and a joint from 1; where the links hang on their gears, the initial
-        link angle is what is added to the hanging one. With `taps`, a list for each quantity, all
+        link angle is what is added to the hanging one. `variants` are further directions, by sizes
+        of effects that are zero, with other values of parameters that have no influence then. With
+        `taps`, a list for each quantity, all
         equally long, samples x become rows, row r the sum of taps[t] x[r samples_per_row + t]. The
         GIL is released, so that records can run in threads. Errors are those of `simulate`, and
         ValueError for taps that do not fit.

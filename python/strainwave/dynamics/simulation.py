@@ -209,6 +209,7 @@ def sensitivities(
     max_time_step: float = MAX_TIME_STEP,
     low_pass: LowPass | None = None,
     sums: Mapping[Quantity, FloatArray] | None = None,
+    variants: Sequence[tuple[Values, Sequence[Key]]] = (),
 ) -> dict[Quantity, tuple[FloatArray, FloatArray]]:
     """Simulate one experiment on one arm with exact derivatives of all recorded quantities.
 
@@ -216,8 +217,9 @@ def sensitivities(
     `initial_motor_velocity`, `initial_link_angle` and `initial_link_velocity`. Each quantity has
     values (n_samples, n_joints) and derivatives (n_samples, n_joints, n_directions). With
     `low_pass` its rows replace the samples. `sums` are weights (n_joints, n_signals) of
-    `LINK_SIGNALS` in the quantities such as `imu_ax`. Other arguments and errors are those of
-    `simulate_arms`.
+    `LINK_SIGNALS` in the quantities such as `imu_ax`. Further directions, in `variants`, are sizes
+    of effects that are zero, with values that differ where they have no influence then. Other
+    arguments and errors are those of `simulate_arms`.
     """
     vector = _vector(arm, values)
     experiment = _experiment(arm, drive, (sample_time, samples), record, max_time_step, sums)
@@ -227,6 +229,7 @@ def sensitivities(
             vector,
             experiment,
             list(directions),
+            variants=[(_vector(arm, values), list(keys)) for values, keys in variants],
             taps=None if low_pass is None else [low_pass.taps[name] for name in record],
             samples_per_row=1 if low_pass is None else low_pass.samples_per_row,
         )

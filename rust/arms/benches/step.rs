@@ -256,6 +256,7 @@ impl<A: WithPrograms<N>, const N: usize> Bench<A, N> {
                 task,
                 member,
                 directions: &directions,
+                variants: &[],
                 decimation: None,
             };
             let all = programs.differentiate(&request, width).expect("finite");
@@ -299,6 +300,7 @@ impl<A: WithPrograms<N>, const N: usize> Bench<A, N> {
             task: &self.task,
             member: &self.member(),
             directions,
+            variants: &[],
             decimation,
         };
         self.shortest_time(|| assert!(programs.differentiate(&request, width).is_ok()))

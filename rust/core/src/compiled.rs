@@ -12,7 +12,7 @@ use crate::experiment::{Clock, Diverged, Initial, Member, Quantity, Record, Sour
 use crate::plant::config::{Config, InvalidParameter};
 use crate::plant::rigid;
 use crate::program::{Case, Programs, Width};
-use crate::sensitivity::Request;
+use crate::sensitivity::{Request, Variant};
 use crate::sensors::decimation::Decimation;
 
 /// One experiment on an arm.
@@ -164,6 +164,7 @@ pub trait CompiledArm: Send + Sync {
         experiment: &Experiment,
         parameters: &[f64],
         directions: &[Source],
+        variants: &[Variant<'_>],
         decimation: Option<&Decimation>,
     ) -> Result<Derivatives, Diverged>;
 
@@ -394,6 +395,7 @@ impl<A: Arm<N>, const N: usize> CompiledArm for Compiled<A, N> {
         experiment: &Experiment,
         parameters: &[f64],
         directions: &[Source],
+        variants: &[Variant<'_>],
         decimation: Option<&Decimation>,
     ) -> Result<Derivatives, Diverged> {
         let inputs = experiment.inputs(self.joints());
@@ -401,6 +403,7 @@ impl<A: Arm<N>, const N: usize> CompiledArm for Compiled<A, N> {
             task: &experiment.task(&self.config),
             member: &experiment.member(parameters, &inputs),
             directions,
+            variants,
             decimation,
         };
         let sensitivities = self.programs.differentiate(&request, self.width)?;

@@ -22,7 +22,7 @@ use crate::scalar::{Lanes, Real};
 use crate::sensitivity::dual_simulation::differentiate_over_dual_numbers;
 use crate::sensitivity::effect::without_plant_effects;
 use crate::sensitivity::forward::ForwardSensitivity;
-use crate::sensitivity::{Request, Sensitivities};
+use crate::sensitivity::{Request, Sensitivities, Variant};
 
 /// On other targets one scalar serves for everything.
 #[cfg(not(any(target_arch = "aarch64", target_arch = "x86_64")))]
@@ -339,12 +339,25 @@ fn forward_on<
     request: &Request<'_, A, N>,
 ) -> Result<Sensitivities<N>, Diverged> {
     let Request { task, member, .. } = *request;
+    let own = Variant {
+        parameters: member.parameters,
+        directions: request.directions,
+    };
+    let variants: Vec<_> = [own].iter().chain(request.variants).copied().collect();
+    let members: Vec<_> = variants
+        .iter()
+        .map(|one| Member {
+            parameters: one.parameters,
+            ..*member
+        })
+        .collect();
     let run = |plain: &Task<A, N>, member: &Member<'_, N>| {
         V::scope(ForwardSensitivity::<A, S, V, L, G, N, EFFECTS> {
             task: plain,
             member,
-            requested: (task, request.member),
-            directions: request.directions,
+            requested: task,
+            variants: &variants,
+            members: &members,
             decimation: request.decimation,
             scalars: PhantomData,
         })
@@ -388,6 +401,7 @@ impl<A: Arm<N>, const N: usize> Programs<A, N> {
                 task,
                 member,
                 directions: &[],
+                variants: &[],
                 decimation: None,
             };
             return Ok((self.baseline)(&request)?.values);
@@ -430,6 +444,38 @@ impl<A: Arm<N>, const N: usize> Programs<A, N> {
         results
     }
 
+    /// Simulates an experiment for each variant of a request.
+    fn differentiate_one_by_one(
+        &self,
+        request: &Request<'_, A, N>,
+        width: Width,
+    ) -> Result<Sensitivities<N>, Diverged> {
+        let own = Request {
+            variants: &[],
+            ..*request
+        };
+        let (mut all, mut count) = (self.differentiate(&own, width)?, own.directions.len());
+        for &Variant {
+            parameters,
+            directions,
+        } in request.variants
+        {
+            let member = &Member {
+                parameters,
+                ..*own.member
+            };
+            let other = Request {
+                member,
+                directions,
+                ..own
+            };
+            let more = directions.len();
+            all.append(&self.differentiate(&other, width)?, [count, more]);
+            count += more;
+        }
+        Ok(all)
+    }
+
     /// Simulates one experiment with derivatives, with the fastest suitable program.
     ///
     /// # Errors
@@ -448,12 +494,19 @@ impl<A: Arm<N>, const N: usize> Programs<A, N> {
             let (low_passes, quantities) = (decimation.quantities(), task.record.len());
             assert_eq!(low_passes, quantities, "a low-pass for each quantity");
         }
+        let variants = request.variants;
+        let has_no_size = |parameters| without_plant_effects(&task.config, parameters).is_some();
+        let has_forward = width >= Width::COMPILED
+            && task.config.is_elastic()
+            && (!task.config.has_plant_effects()
+                || has_no_size(member.parameters)
+                    && variants.iter().all(|one| has_no_size(one.parameters)));
+        if !variants.is_empty() && !has_forward {
+            return self.differentiate_one_by_one(request, width);
+        }
         if width < Width::COMPILED {
             return (self.baseline)(request);
         }
-        let has_forward = task.config.is_elastic()
-            && (!task.config.has_plant_effects()
-                || without_plant_effects(&task.config, member.parameters).is_some());
         match width {
             Width::Avx512 if !has_forward => (self.general.dual_numbers_avx512)(request),
             _ if !has_forward => (self.general.dual_numbers)(request),

@@ -10,6 +10,7 @@ use strainwave_core::compiled::{self, CompiledArm, Derivatives, InitialState, Li
 use strainwave_core::experiment::{Clock, Diverged, Source};
 use strainwave_core::joint::gear;
 use strainwave_core::program::Width;
+use strainwave_core::sensitivity::Variant;
 use strainwave_core::sensors::decimation::Decimation;
 
 use crate::arguments::{
@@ -185,13 +186,15 @@ impl Arm {
         Ok(all)
     }
 
-    #[pyo3(signature = (parameters, experiment, with_respect_to, *, taps=None, samples_per_row=1))]
+    #[pyo3(signature = (parameters, experiment, with_respect_to, *, variants=Vec::new(), taps=None,
+        samples_per_row=1))]
     fn sensitivities<'py>(
         &self,
         py: Python<'py>,
         parameters: Vector<'py>,
         experiment: &Experiment,
         with_respect_to: Vec<Direction>,
+        variants: Vec<(Vector<'py>, Vec<Direction>)>,
         taps: Option<Vec<Vec<f64>>>,
         samples_per_row: usize,
     ) -> PyResult<Bound<'py, PyDict>> {
@@ -206,10 +209,22 @@ impl Arm {
         };
         let parameters = self.checked(&parameters)?;
         let directions = self.sources(&with_respect_to)?;
+        let mut others = Vec::with_capacity(variants.len());
+        for (values, names) in &variants {
+            others.push((self.checked(values)?, self.sources(names)?));
+        }
+        let variants: Vec<_> = others
+            .iter()
+            .map(|(parameters, directions)| Variant {
+                parameters,
+                directions,
+            })
+            .collect();
+        let width = directions.len() + others.iter().map(|(_, more)| more.len()).sum::<usize>();
         let decimation = decimation.as_ref();
         let differentiate = || {
             self.0
-                .sensitivities(core, &parameters, &directions, decimation)
+                .sensitivities(core, &parameters, &directions, &variants, decimation)
         };
         let Derivatives { values, tangents } = py.detach(differentiate).map_err(divergence)?;
         let samples = core.clock.samples;
@@ -220,7 +235,7 @@ impl Arm {
             let values: Bound<'py, PyArray2<f64>> =
                 PyArray1::from_vec(py, values).reshape([rows, joints])?;
             let tangents: Bound<'py, PyArray3<f64>> =
-                PyArray1::from_vec(py, tangents).reshape([rows, joints, directions.len()])?;
+                PyArray1::from_vec(py, tangents).reshape([rows, joints, width])?;
             result.set_item(name, (values, tangents))?;
         }
         Ok(result)

@@ -197,6 +197,7 @@ pub fn sensitivities<A: WithPrograms<N>, const N: usize>(
         task,
         member,
         directions,
+        variants: &[],
         decimation: None,
     };
     task.config.arm.programs().differentiate(&request, width)
@@ -212,6 +213,7 @@ pub fn differentiate_over_dual_numbers<A: WithPrograms<N>, const N: usize>(
         task,
         member,
         directions,
+        variants: &[],
         decimation: None,
     };
     (task.config.arm.programs().general.dual_numbers)(&request)

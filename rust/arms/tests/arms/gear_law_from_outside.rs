@@ -147,6 +147,7 @@ fn external_law_derivatives_match_differences() {
         task: &task,
         member: &member,
         directions: &directions,
+        variants: &[],
         decimation: None,
     };
     let fast = forward::<_, SingleLaw<Quadratic>, 1, false>(&request).expect("finite");

@@ -18,7 +18,7 @@ use strainwave_core::joint::effects::EffectKinds;
 use strainwave_core::joint::gear::Law;
 use strainwave_core::plant::config::Config;
 use strainwave_core::program::Width;
-use strainwave_core::sensitivity::Sensitivities;
+use strainwave_core::sensitivity::{Request, Sensitivities, Variant};
 
 /// Quantities whose derivatives are checked.
 const RECORDED: [Quantity; SLIDING + 1] = {
@@ -253,6 +253,7 @@ impl<A: WithPrograms<N> + BuiltIn, const N: usize> Case<A, N> {
                 angle[i] += by;
                 initial.link_angle = Some(angle);
             }
+            Source::Nothing => {}
         }
         let member = self.member(&parameters, initial);
         simulate(&self.task, &member, Width::detect()).expect("finite")
@@ -265,6 +266,7 @@ impl<A: WithPrograms<N> + BuiltIn, const N: usize> Case<A, N> {
             Source::MotorAngle(_) | Source::MotorVelocity(_) => 10.0,
             Source::LinkAngle(_) => 0.01,
             Source::LinkVelocity(_) => 1.0,
+            Source::Nothing => 0.0,
         }
     }
 }
@@ -601,6 +603,56 @@ impl Coupled<MAX_CHAIN_JOINTS> for Chain {
 }
 
 /// Compares derivatives by the variational equations with derivatives over dual numbers.
+/// Variants of effects of size zero give the derivatives of experiments of their own.
+fn check_variants<A: WithPrograms<N> + BuiltIn, const N: usize>(case: &Case<A, N>) {
+    let names = case.task.config.parameter_names();
+    let sizes = |every: usize| -> Vec<Source> {
+        let of_effects = (0..names.len()).filter(|&k| crate::common::is_size(names[k].0));
+        of_effects.step_by(every).map(Source::Parameter).collect()
+    };
+    let with_shapes = |factor: f64| -> Vec<f64> {
+        let is_shape = |name: &str| SHAPES.iter().any(|end| name.ends_with(end));
+        let scaled = |(&value, &(name, _)): (&f64, &(&str, _))| match is_shape(name) {
+            true => factor * value,
+            false => value,
+        };
+        zip(&case.parameters, &names).map(scaled).collect()
+    };
+    let shapes = [with_shapes(0.5), with_shapes(2.0)];
+    let of_variants = [sizes(1), sizes(5)];
+    let variants: Vec<_> = zip(&shapes, &of_variants)
+        .map(|(parameters, directions)| Variant {
+            parameters,
+            directions,
+        })
+        .collect();
+    let member = case.member(&case.parameters, case.initial);
+    let directions = case.directions();
+    for &width in Width::available() {
+        let request = Request {
+            task: &case.task,
+            member: &member,
+            directions: &directions,
+            variants: &variants,
+            decimation: None,
+        };
+        let programs = case.task.config.arm.programs();
+        let together = programs.differentiate(&request, width).expect("finite");
+        let mut alone = case.differentiate(&directions, width);
+        let mut count = directions.len();
+        for (parameters, sizes) in zip(&shapes, &of_variants) {
+            let member = case.member(parameters, case.initial);
+            let other = sensitivities(&case.task, &member, sizes, width).expect("finite");
+            alone.append(&other, [count, sizes.len()]);
+            count += sizes.len();
+        }
+        assert!(together == alone, "on {width:?}"); // both are long
+    }
+}
+
+/// Ends of names of parameters of effects without influence at size zero.
+const SHAPES: [&str; 5] = ["_velocity", "_twist", "_order", "_frequency", "drive_limit"];
+
 fn check_methods<A: WithPrograms<N> + BuiltIn, const N: usize>(case: &Case<A, N>) {
     let member = case.member(&case.parameters, case.initial);
     let directions = case.directions();
@@ -915,6 +967,13 @@ proptest! {
                 for gear in [THREE_SLOPE, LINEAR] {
             check_methods(&Case::<OneLink, 1>::random([gear], seed, servo, 400));
         }
+    }
+
+    #[test]
+    fn variants_agree_with_experiments_of_their_own(seed in any::<u64>(), servo in any::<bool>()) {
+        check_variants(&Case::<TwoLink<true>, 2>::random_with(ALL, [THREE_SLOPE, LINEAR], seed, servo, 240).without_effects());
+        check_variants(&Case::<Chain, MAX_CHAIN_JOINTS>::random_with(ALL, [LINEAR; 3], seed, servo, 60).without_effects());
+        check_variants(&Case::<OneLink, 1>::random_with(ALL, [LINEAR], seed, servo, 240).without_effects());
     }
 
     #[test]

@@ -204,6 +204,8 @@ pub enum Source {
     LinkAngle(usize),
     /// Initial link velocity of a joint.
     LinkVelocity(usize),
+    /// None: it fills a block of directions.
+    Nothing,
 }
 
 /// The motion is no longer finite.

@@ -69,6 +69,8 @@ pub(crate) struct BlockTrajectory<
     /// Joint of each direction's parameter, and the index of the parameter among those of the
     /// joint.
     parameter_indices: Vec<Option<(usize, usize)>>,
+    /// Index of the variant of the effects.
+    variant: usize,
 }
 
 impl<'a, A: Arm<N>, S: Real, V: Lanes, G: Gears, const N: usize, const EFFECTS: bool>
@@ -77,7 +79,7 @@ impl<'a, A: Arm<N>, S: Real, V: Lanes, G: Gears, const N: usize, const EFFECTS: 
     pub(crate) fn new(
         task: &'a Task<A, N>,
         member: &'a Member<'a, N>,
-        (all, first): (&[Source], usize),
+        (all, first, variant): (&[Source], usize, usize),
         sensing: Option<&Sensing<V, N>>,
     ) -> Self {
         let directions = &all[first..];
@@ -87,12 +89,11 @@ impl<'a, A: Arm<N>, S: Real, V: Lanes, G: Gears, const N: usize, const EFFECTS: 
         let zero = [V::splat(0.0); N];
         let ratio = task.config.joints.map(|joint| joint.ratio);
         let half = 0.5 * task.clock.step;
-        let width = directions.len().min(V::LANES);
+        let own = &directions[..V::LANES];
         let tangent = tangent_of(&task.config.arm, &dual.motion, &ratio, half);
         let mut trajectory = Self {
-            block: TangentBlock::new(&task.config, (all, first), tangent),
-            has_torque_derivatives: task.servo.is_some()
-                || has_drive_parameter(&task.config, &directions[..width]),
+            block: TangentBlock::new(&task.config, (all, first, variant), tangent),
+            has_torque_derivatives: task.servo.is_some() || has_drive_parameter(&task.config, own),
             torque: dual.motion.torque.map(|number| number.tangent),
             target: zero,
             current: task.config.current_loop(task.clock.step),
@@ -100,7 +101,8 @@ impl<'a, A: Arm<N>, S: Real, V: Lanes, G: Gears, const N: usize, const EFFECTS: 
             remaining: V::splat(0.0),
             ratio,
             half,
-            parameter_indices: joint_parameter_indices(&task.config, &directions[..width]),
+            parameter_indices: joint_parameter_indices(&task.config, own),
+            variant,
             dual,
         };
         if let (Some(sensing), Some(sensors)) = (sensing, &trajectory.dual.sensors) {
@@ -203,7 +205,8 @@ impl<'a, A: Arm<N>, S: Real, V: Lanes, G: Gears, const N: usize, const EFFECTS: 
                     .directional_derivative(&linearised_span.rates, &linearised_span.torque_rates)
                     .lane(0);
                 let derivative = event.directional_derivative(&self.block.tangent, &self.torque);
-                delay = (derivative + event.by_parameters::<V>(&self.parameter_indices))
+                delay = (derivative
+                    + event.by_parameters::<V>(self.variant, &self.parameter_indices))
                     * (-1.0 / per_time);
             }
             self.remaining = self.remaining - delay;

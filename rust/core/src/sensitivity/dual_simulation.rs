@@ -11,6 +11,9 @@ use crate::sensitivity::{Request, Sensitivities};
 ///
 /// # Errors
 /// The motion diverged.
+///
+/// # Panics
+/// The request has variants.
 pub(crate) fn differentiate_over_dual_numbers<
     A: Arm<N>,
     S: Real,
@@ -25,8 +28,10 @@ pub(crate) fn differentiate_over_dual_numbers<
         task,
         member,
         directions,
+        variants,
         decimation,
     } = *request;
+    assert!(variants.is_empty());
     let joints = task.config.arm.joints();
     let width = joints * directions.len();
     let mut all = Sensitivities {

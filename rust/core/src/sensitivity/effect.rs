@@ -8,6 +8,7 @@
 
 use crate::arm::Arm;
 use crate::arm::transmission::{coupled, motor_of, outputs_of, share};
+use crate::experiment::Source;
 use crate::joint::effects::{
     AffectedTerms, BaseTorque, Effect, EffectKinds, Effects, FlexibleLink, Hysteresis,
     PartDeflection, Size, SoftBase,
@@ -172,30 +173,38 @@ fn seed_effects<R: Real>(kinds: EffectKinds, values: &[f64], position: usize) ->
 }
 
 impl<L: Real, const N: usize> EffectSensitivity<L, N> {
-    /// From a configuration with its parameters, and the initial state.
+    /// From a configuration with its parameters, and the initial state, for the sizes among the
+    /// directions.
     pub(crate) fn new<A: Arm<N>, S: Real>(
         config: &Config<A, N>,
         parameters: &[f64],
+        directions: &[Source],
         begin: &State<S, N>,
     ) -> Self {
         let roles = config.roles();
-        let values = |i: usize| -> Vec<f64> {
+        let of_joint = |i: usize| -> Vec<usize> {
             let is_of_joint = |k: &usize| matches!(roles[*k], (Role::Effect(_), j) if j == i);
-            let positions = (0..roles.len()).filter(is_of_joint);
-            positions.map(|k| parameters[k]).collect()
+            (0..roles.len()).filter(is_of_joint).collect()
         };
         let mut sizes = std::array::from_fn(|_| Vec::new());
         let (mut hysteresis, mut flexible, mut soft) = ([None; N], [None; N], [None; N]);
         for i in 0..config.arm.joints() {
-            let (kinds, values) = (config.joints[i].effects, values(i));
+            let (kinds, places) = (config.joints[i].effects, of_joint(i));
+            let values: Vec<f64> = places.iter().map(|&k| parameters[k]).collect();
             for (position, parameter) in kinds.parameters().into_iter().enumerate() {
                 let Some(size) = parameter.size else { continue };
+                if !directions.contains(&Source::Parameter(places[position])) {
+                    continue;
+                }
                 sizes[i].push(OneSize {
                     position,
                     size,
                     effects: seed_effects(kinds, &values, position),
                     scalar_effects: seed_effects(kinds, &values, position),
                 });
+            }
+            if sizes[i].is_empty() {
+                continue;
             }
             let mut all = values.iter();
             let effects: Effects<f64> = Effects::of(kinds, || *all.next().expect("a value"));

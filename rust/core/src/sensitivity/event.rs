@@ -31,8 +31,12 @@ pub(crate) struct EventSensitivity<const N: usize> {
     /// Derivative with respect to the joint's motor torque.
     torque: f64,
     /// Derivatives with respect to each parameter of the joints, in the order of their names.
-    by_parameter: [[f64; MAX_JOINT_PARAMETERS]; N],
+    by_parameter: ByParameter<N>,
+    /// The same with the effects of further variants.
+    of_variants: Vec<ByParameter<N>>,
 }
+
+type ByParameter<const N: usize> = [[f64; MAX_JOINT_PARAMETERS]; N];
 
 impl<const N: usize> EventSensitivity<N> {
     /// At the event of a joint at the end of a span. `half` [s] is half a step; `requested` are the
@@ -44,7 +48,7 @@ impl<const N: usize> EventSensitivity<N> {
     pub(crate) fn new<A: Arm<N>, S: Real, G: Gears, L: Real>(
         plant: &Plant<A, S, G, N>,
         requested: &[JointConfig; N],
-        effects: Option<&EffectSensitivity<L, N>>,
+        effects: &[EffectSensitivity<L, N>],
         end: &Motion<S, N>,
         (joint, half): (usize, f64),
     ) -> Self {
@@ -56,6 +60,7 @@ impl<const N: usize> EventSensitivity<N> {
             link: [0.0; N],
             torque: 0.0,
             by_parameter: [[0.0; MAX_JOINT_PARAMETERS]; N],
+            of_variants: Vec::new(),
         };
         let drive = &plant.joints[joint];
         let plain = |number: S| number.lane(0);
@@ -79,13 +84,10 @@ impl<const N: usize> EventSensitivity<N> {
             slopes.motor[i] = by_torque * holding.by_motor[i] / half;
             slopes.link[i] = by_torque * holding.by_link[i] / half;
         }
-        slopes.by_parameter = by_parameters(
-            plant,
-            requested,
-            effects,
-            (&holding, end),
-            [by_torque, scale],
-        );
+        let by = [by_torque, scale];
+        let of = |effects| by_parameters(plant, requested, effects, (&holding, end), by);
+        slopes.by_parameter = of(effects.first());
+        slopes.of_variants = effects.iter().skip(1).map(|one| of(Some(one))).collect();
         slopes
     }
 
@@ -104,11 +106,22 @@ impl<const N: usize> EventSensitivity<N> {
     /// Derivatives with respect to the parameters of directions, each a joint and an index among
     /// its parameters.
     #[inline(always)]
-    pub(crate) fn by_parameters<V: Real>(&self, parameters: &[Option<(usize, usize)>]) -> V {
+    pub(crate) fn by_parameters<V: Real>(
+        &self,
+        variant: usize,
+        parameters: &[Option<(usize, usize)>],
+    ) -> V {
+        let by_parameter = match variant {
+            0 => &self.by_parameter,
+            _ => self
+                .of_variants
+                .get(variant - 1)
+                .unwrap_or(&self.by_parameter),
+        };
         let mut all = V::splat(0.0);
         for (lane, parameter) in parameters.iter().enumerate() {
             if let &Some((joint, position)) = parameter {
-                all.set_lane(lane, self.by_parameter[joint][position]);
+                all.set_lane(lane, by_parameter[joint][position]);
             }
         }
         all
@@ -124,7 +137,7 @@ fn by_parameters<A: Arm<N>, S: Real, G: Gears, L: Real, const N: usize>(
     effects: Option<&EffectSensitivity<L, N>>,
     (holding, end): (&Holding<S, N>, &Motion<S, N>),
     [by_torque, scale]: [f64; 2],
-) -> [[f64; MAX_JOINT_PARAMETERS]; N] {
+) -> ByParameter<N> {
     let mut all = [[0.0; MAX_JOINT_PARAMETERS]; N];
     // behind the drive's parameters those of the law, damping and settling time
     let of_law = |i: usize| DRIVE.len()..DRIVE.len() + requested[i].gear.parameters.len();

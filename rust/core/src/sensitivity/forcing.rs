@@ -68,6 +68,11 @@ fn row(quad: usize) -> Row {
     }
 }
 
+/// Whether a quad is that of sizes of effects.
+fn is_of_effect_quad(quad: usize) -> bool {
+    (MOTOR_EFFECTS..LINK_VISCOUS_QUAD).contains(&quad) || quad >= LINK_EFFECTS
+}
+
 /// Location of a derivative: the row of a joint, and the quad and the slot.
 #[derive(Clone, Copy)]
 struct Location {
@@ -167,7 +172,7 @@ struct Entry<P> {
     row: usize,
     /// Whether it is the first of its row.
     is_first: bool,
-    /// Index among the quads of all joints.
+    /// Index among the quads of all variants and joints.
     quad: usize,
     selection: P,
 }
@@ -183,11 +188,12 @@ pub(crate) struct Forcing<V: Lanes, const N: usize> {
 }
 
 impl<V: Lanes, const N: usize> Forcing<V, N> {
-    /// Forcing for `V::LANES` of the directions, from the `first`.
+    /// Forcing for `V::LANES` of the directions, from the `first`; sizes of effects are those of a
+    /// `variant`.
     pub(crate) fn new<A: Arm<N>>(
         config: &Config<A, N>,
         directions: &[Source],
-        first: usize,
+        (first, variant): (usize, usize),
     ) -> Self {
         let locations = locations(config);
         let mut slots_by_quad: BTreeMap<_, [Option<usize>; MAX_LANES]> = BTreeMap::new();
@@ -195,7 +201,9 @@ impl<V: Lanes, const N: usize> Forcing<V, N> {
             if let &Source::Parameter(k) = direction {
                 for location in &locations[k] {
                     let row = row(location.quad) as usize * N + location.joint;
-                    let quad = location.quad_joint * QUADS + location.quad;
+                    let of_variant = usize::from(is_of_effect_quad(location.quad)) * variant;
+                    let joint = N * of_variant + location.quad_joint;
+                    let quad = joint * QUADS + location.quad;
                     let slots = slots_by_quad.entry((row, quad)).or_default();
                     slots[lane] = Some(location.slot);
                 }
@@ -219,11 +227,11 @@ impl<V: Lanes, const N: usize> Forcing<V, N> {
 
     /// Sets [`Self::rows`] for a step.
     #[inline(always)]
-    pub(crate) fn update(&mut self, quads: &Quads<N>) {
+    pub(crate) fn update(&mut self, quads: &[Quads<N>]) {
         let zero = V::splat(0.0);
-        let mut sums = [zero; 4];
+        let (mut sums, quads) = ([zero; 4], quads.as_flattened().as_flattened());
         for entry in &self.entries {
-            let quad = &quads.as_flattened()[entry.quad];
+            let quad = &quads[entry.quad];
             for stage in 0..4 {
                 // not of the number in the row, which would be stored by a slow masked instruction
                 let sum = if entry.is_first { zero } else { sums[stage] };

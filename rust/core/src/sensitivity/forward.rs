@@ -23,20 +23,22 @@ use crate::sensitivity::tangent::{Response, Tangent, Workspace};
 use crate::sensitivity::tangent_block::TangentBlock;
 use crate::sensitivity::trace::Trace;
 use crate::sensitivity::variational::LinearisedStep;
-use crate::sensitivity::{Sensitivities, decimated};
+use crate::sensitivity::{Sensitivities, Variant, decimated};
 use crate::sensors::decimation::Decimation;
 
 /// One arm with elastic gears, and derivatives in several directions: scalars `S`, `V::LANES`
 /// directions per block, and lanes `L` for the stages of a step.
 ///
 /// With `EFFECTS`, directions may be sizes of effects on motor, gear and link that the arm does not
-/// have: `requested` is the arm with these effects at size zero. Otherwise `requested` is the arm
-/// itself.
+/// have: `requested` is the arm with these effects at size zero, with the parameters and directions
+/// of each variant. Otherwise `requested` is the arm itself.
 pub(crate) struct ForwardSensitivity<'a, A, S, V, L, G, const N: usize, const EFFECTS: bool> {
     pub(crate) task: &'a Task<A, N>,
     pub(crate) member: &'a Member<'a, N>,
-    pub(crate) requested: (&'a Task<A, N>, &'a Member<'a, N>),
-    pub(crate) directions: &'a [Source],
+    pub(crate) requested: &'a Task<A, N>,
+    pub(crate) variants: &'a [Variant<'a>],
+    /// With the parameters of each variant.
+    pub(crate) members: &'a [Member<'a, N>],
     /// Low-pass of the samples, if there is one.
     pub(crate) decimation: Option<&'a Decimation>,
     pub(crate) scalars: PhantomData<(S, V, L, G)>,
@@ -99,15 +101,25 @@ impl<'a, A: Arm<N>, S: Lanes, V: Lanes, L: Lanes, G: Gears, const N: usize, cons
     VariationalSimulation<'a, A, S, V, L, G, N, EFFECTS>
 {
     fn new(of: &ForwardSensitivity<'a, A, S, V, L, G, N, EFFECTS>) -> Self {
-        let (task, width) = (of.task, of.directions.len());
+        let (task, requested) = (of.task, of.requested);
         let (samples, joints) = (task.clock.samples, task.config.arm.joints());
-        let sizes = [task.record.len(), samples, joints, width, V::LANES];
-        let (requested, member) = of.requested;
+        let sizes = [task.record.len(), samples, joints];
+        let (mut directions, mut ranges, mut variant_of) = (Vec::new(), Vec::new(), Vec::new());
+        for (number, variant) in of.variants.iter().enumerate() {
+            let first = directions.len();
+            directions.extend_from_slice(variant.directions);
+            ranges.push(first..directions.len());
+            directions.resize(directions.len().next_multiple_of(V::LANES), Source::Nothing);
+            variant_of.resize(directions.len() / V::LANES, number);
+        }
+        let width = directions.len();
         let plain = |_, value| S::splat(value);
         let nominal = Simulation::new(task, of.member, &plain);
         let sensing = Sensing::new(task, nominal.sensors.as_ref());
-        let trajectory = |first| {
-            BlockTrajectory::new(requested, member, (of.directions, first), sensing.as_ref())
+        let trajectory = |(block, &variant): (usize, &usize)| {
+            let (member, first) = (&of.members[variant], block * V::LANES);
+            let own = (&directions[..], first, variant);
+            BlockTrajectory::new(requested, member, own, sensing.as_ref())
         };
         let has_lag = |joint: &Joint<S, G>| {
             let lag = joint.effects.drive_lag;
@@ -116,8 +128,8 @@ impl<'a, A: Arm<N>, S: Lanes, V: Lanes, L: Lanes, G: Gears, const N: usize, cons
         let linear = LinearisedStep::new(
             &task.config,
             of.member.parameters,
-            (&requested.config, member.parameters),
-            (of.directions, V::LANES),
+            (&requested.config, of.variants),
+            (&directions, V::LANES),
             &nominal.motion.state,
             task.clock.step,
         );
@@ -127,19 +139,15 @@ impl<'a, A: Arm<N>, S: Lanes, V: Lanes, L: Lanes, G: Gears, const N: usize, cons
             has_drive_lag: nominal.plant.joints.iter().any(has_lag),
             nominal,
             commanded: false,
-            unforced: TangentBlock::new(
-                &task.config,
-                (of.directions, width.next_multiple_of(V::LANES)),
-                Tangent::zero(),
-            ),
+            unforced: TangentBlock::new(&task.config, (&directions, width, 0), Tangent::zero()),
             differentiable_current: task.config.current_loop(task.clock.step),
             trace: Trace::new(task.config.arm, task.config.joints.map(|joint| joint.ratio)),
             linear,
-            blocks: (0..width).step_by(V::LANES).map(trajectory).collect(),
+            blocks: variant_of.iter().enumerate().map(trajectory).collect(),
             first_response: Response::zero(),
             workspace: Workspace::new(),
             sensing,
-            buffer: SampleBuffer::new(sizes, of.decimation),
+            buffer: SampleBuffer::new(sizes, (ranges, width), of.decimation),
         }
     }
 
@@ -286,7 +294,7 @@ impl<'a, A: Arm<N>, S: Lanes, V: Lanes, L: Lanes, G: Gears, const N: usize, cons
         let by_length = StepLengthSensitivity::new(trace, &self.linear, torque, duration);
         let stops_instantly = |i: usize| plant.joints[i].settling_time.lane(0) == 0.0;
         let slides = |i: usize| from.modes.free[i].lane(0) != 0.0;
-        let (requested, effects) = (&self.requested.config.joints, self.linear.effects.as_ref());
+        let (requested, effects) = (&self.requested.config.joints, &self.linear.effects[..]);
         let half = self.linear.half;
         let margin = |joint| EventSensitivity::new(plant, requested, effects, &end, (joint, half));
         LinearisedSpan {

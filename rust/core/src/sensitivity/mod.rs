@@ -34,8 +34,20 @@ pub struct Request<'a, A, const N: usize> {
     pub member: &'a Member<'a, N>,
     /// The parameters and initial states to differentiate with respect to.
     pub directions: &'a [Source],
+    /// Further directions, of the same motion.
+    pub variants: &'a [Variant<'a>],
     /// Low-pass and decimation of the samples; `None`: all samples.
     pub decimation: Option<&'a Decimation>,
+}
+
+/// Directions by sizes of effects that are zero, with other values of the parameters that have no
+/// influence then, as frequencies.
+#[derive(Clone, Copy, Debug)]
+pub struct Variant<'a> {
+    /// Parameters of the arm.
+    pub parameters: &'a [f64],
+    /// The sizes.
+    pub directions: &'a [Source],
 }
 
 impl<'a, A, const N: usize> Request<'a, A, N> {
@@ -48,6 +60,7 @@ impl<'a, A, const N: usize> Request<'a, A, N> {
             task,
             member: self.member,
             directions: self.directions,
+            variants: self.variants,
             decimation: self.decimation,
         }
     }
@@ -81,6 +94,19 @@ pub(crate) fn decimated<V: Real, const N: usize>(
 }
 
 impl<const N: usize> Sensitivities<N> {
+    /// Adds derivatives in other directions of the same motion, of `width` in all.
+    pub fn append(&mut self, other: &Self, [width, more]: [usize; 2]) {
+        for (own, others) in self.tangents.iter_mut().zip(&other.tangents) {
+            let cells = own.len().max(others.len()) / width.max(more).max(1);
+            let mut all = Vec::with_capacity(own.len() + others.len());
+            for k in 0..cells {
+                all.extend_from_slice(&own[k * width..][..width]);
+                all.extend_from_slice(&others[k * more..][..more]);
+            }
+            *own = all;
+        }
+    }
+
     /// Rows behind a low-pass, if there is one; a sample has `width` derivatives.
     pub(crate) fn decimated(self, decimation: Option<&Decimation>, width: usize) -> Self {
         let Some(low_pass) = decimation else {

@@ -1,13 +1,16 @@
 //! Derivatives of recorded quantities, sample by sample.
 
+use std::ops::Range;
+
 use crate::scalar::{Aligned, Real};
 use crate::sensors::decimation::{Decimation, Decimator};
 
 /// The current sample of all blocks, and all earlier samples or their rows behind a low-pass.
 pub(crate) struct SampleBuffer {
     joints: usize,
-    directions: usize,
-    /// Number of directions, rounded up to whole blocks.
+    /// Those of each variant, among the padded directions.
+    directions: Vec<Range<usize>>,
+    /// Number of directions, with those that fill blocks.
     padded_directions: usize,
     /// Directions for each quantity and joint.
     sample: Aligned,
@@ -17,12 +20,13 @@ pub(crate) struct SampleBuffer {
 }
 
 impl SampleBuffer {
-    /// Buffer for given numbers of quantities, samples, joints, directions and lanes of a block.
+    /// Buffer for given numbers of quantities, samples and joints.
     pub(crate) fn new(
-        [quantities, samples, joints, directions, lanes]: [usize; 5],
+        [quantities, samples, joints]: [usize; 3],
+        (directions, padded_directions): (Vec<Range<usize>>, usize),
         decimation: Option<&Decimation>,
     ) -> Self {
-        let padded_directions = directions.next_multiple_of(lanes);
+        let width: usize = directions.iter().map(Range::len).sum();
         let rows = decimation.map_or(samples, |decimation| decimation.rows(samples));
         Self {
             joints,
@@ -30,10 +34,10 @@ impl SampleBuffer {
             padded_directions,
             sample: Aligned::zeros(quantities * joints * padded_directions),
             decimated: decimation
-                .filter(|_| directions > 0)
+                .filter(|_| width > 0)
                 .map(|decimation| Decimator::new(decimation, joints * padded_directions, samples)),
             tangents: (0..quantities)
-                .map(|_| Vec::with_capacity(rows * joints * directions))
+                .map(|_| Vec::with_capacity(rows * joints * width))
                 .collect(),
         }
     }
@@ -57,7 +61,9 @@ impl SampleBuffer {
         let quantities = numbers.chunks_exact(self.joints * self.padded_directions);
         for (all, joints) in self.tangents.iter_mut().zip(quantities) {
             for joint in joints.chunks_exact(self.padded_directions) {
-                all.extend_from_slice(&joint[..self.directions]);
+                for range in &self.directions {
+                    all.extend_from_slice(&joint[range.clone()]);
+                }
             }
         }
     }

@@ -23,7 +23,7 @@ pub(crate) struct TangentBlock<V: Lanes, const N: usize> {
 impl<V: Lanes, const N: usize> TangentBlock<V, N> {
     pub(crate) fn new<A: Arm<N>>(
         config: &Config<A, N>,
-        (directions, first): (&[Source], usize),
+        (directions, first, variant): (&[Source], usize, usize),
         tangent: Tangent<V, N>,
     ) -> Self {
         let roles = config.roles();
@@ -37,7 +37,7 @@ impl<V: Lanes, const N: usize> TangentBlock<V, N> {
         }
         Self {
             tangent,
-            forcing: Forcing::new(config, directions, first),
+            forcing: Forcing::new(config, directions, (first, variant)),
             settling,
         }
     }

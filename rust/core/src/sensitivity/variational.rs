@@ -19,6 +19,7 @@ use crate::joint::gear::{Gears, Spring};
 use crate::plant::config::Config;
 use crate::plant::{Modes, Plant, State};
 use crate::scalar::{Lanes, Real, inverse, run_out_of_line, works};
+use crate::sensitivity::Variant;
 use crate::sensitivity::effect::EffectSensitivity;
 use crate::sensitivity::forcing::{GEAR, LINK_VISCOUS_QUAD, LinkForcing, MOTOR, Quads, zero_quads};
 use crate::sensitivity::trace::{Stages, Trace};
@@ -40,13 +41,14 @@ pub(crate) struct LinearisedStep<A: Arm<N>, L: Lanes, G: Gears, const N: usize> 
     pub(crate) damping: [f64; N],
     /// n ddtheta_M' per gear torque, per n dtheta_M' and per motor torque.
     pub(crate) motor: [[f64; N]; 3],
-    /// Derivatives with respect to parameters.
-    pub(crate) quads: Quads<N>,
+    /// Derivatives with respect to parameters, and those with respect to sizes of effects of each
+    /// further variant.
+    pub(crate) quads: Vec<Quads<N>>,
     pub(crate) link_forcing: LinkForcing,
     /// At the four stages; updated in place, because it is long for long chains.
     regressor: A::Regressor<L>,
-    /// Effects of size zero.
-    pub(crate) effects: Option<EffectSensitivity<L, N>>,
+    /// Effects of size zero, of each variant.
+    pub(crate) effects: Vec<EffectSensitivity<L, N>>,
     pub(crate) settling: [Option<Settling>; N],
 }
 
@@ -85,12 +87,12 @@ impl Settling {
 
 impl<A: Arm<N>, L: Lanes, G: Gears, const N: usize> LinearisedStep<A, L, G, N> {
     /// For an arm without effects and steps of length `step` [s]. Directions, of which a block has
-    /// `lanes`, are by the parameters of `requested`, which may have effects of size zero; the motion
-    /// begins in a state.
+    /// `lanes`, are by the parameters of `requested`, which may have effects of size zero, in several
+    /// variants; the motion begins in a state.
     pub(crate) fn new<S: Real>(
         config: &Config<A, N>,
         parameters: &[f64],
-        (requested, all): (&Config<A, N>, &[f64]),
+        (requested, variants): (&Config<A, N>, &[Variant<'_>]),
         (directions, lanes): (&[Source], usize),
         begin: &State<S, N>,
         step: f64,
@@ -107,12 +109,14 @@ impl<A: Arm<N>, L: Lanes, G: Gears, const N: usize> LinearisedStep<A, L, G, N> {
             by_velocity: [[[0.0; 4]; N]; N],
             damping: plant.joints.map(|joint| joint.gear_damping.lane(0) / half),
             motor: [[0.0; N]; 3],
-            quads: zero_quads(),
+            quads: vec![zero_quads(); variants.len()],
             link_forcing: LinkForcing::new(requested, directions, lanes),
             regressor: config.arm.zero_regressor(),
-            effects: requested
-                .has_effects()
-                .then(|| EffectSensitivity::new(requested, all, begin)),
+            effects: variants
+                .iter()
+                .filter(|_| requested.has_effects())
+                .map(|one| EffectSensitivity::new(requested, one.parameters, one.directions, begin))
+                .collect(),
             settling: [None; N],
             plant,
         }
@@ -156,9 +160,9 @@ impl<A: Arm<N>, L: Lanes, G: Gears, const N: usize> LinearisedStep<A, L, G, N> {
                 self.gear(trace, i, first);
             }
         }
-        if let Some(effects) = &self.effects {
-            let push = std::array::from_fn(|i| -self.motor[2][i]);
-            effects.add_to_quads(&mut self.quads, &self.plant, (trace, h), modes, &push);
+        let push = std::array::from_fn(|i| -self.motor[2][i]);
+        for (effects, quads) in self.effects.iter().zip(&mut self.quads) {
+            effects.add_to_quads(quads, &self.plant, (trace, h), modes, &push);
         }
     }
 
@@ -170,7 +174,7 @@ impl<A: Arm<N>, L: Lanes, G: Gears, const N: usize> LinearisedStep<A, L, G, N> {
         end: &State<S, N>,
         h: f64,
     ) {
-        if let Some(effects) = &mut self.effects {
+        for effects in &mut self.effects {
             effects.advance_effect_states(&self.plant, trace, end, h);
         }
     }
@@ -195,7 +199,7 @@ impl<A: Arm<N>, L: Lanes, G: Gears, const N: usize> LinearisedStep<A, L, G, N> {
             let stage = &trace.stages[k];
             let (acceleration, velocity) = (stage.motor_acceleration[i], stage.motor_velocity[i]);
             let by = [acceleration, velocity, direction, 1.0];
-            store_scaled::<L>(&mut self.quads[i][MOTOR].0[k], &by, -push);
+            store_scaled::<L>(&mut self.quads[0][i][MOTOR].0[k], &by, -push);
         }
     }
 
@@ -231,14 +235,14 @@ impl<A: Arm<N>, L: Lanes, G: Gears, const N: usize> LinearisedStep<A, L, G, N> {
         self.link_forcing.set(arm, by, first);
         for i in 0..arm.joints() {
             let four = [dq[i], zero, zero, zero];
-            L::store_rows(&four, &mut self.quads[i][LINK_VISCOUS_QUAD].0[first..]);
+            L::store_rows(&four, &mut self.quads[0][i][LINK_VISCOUS_QUAD].0[first..]);
         }
     }
 
     /// Coefficients of one gear, for the stages from the `first`.
     #[inline(always)]
     fn gear(&mut self, trace: &Trace<A, N>, i: usize, first: usize) {
-        let (joint, quads) = (&self.plant.joints[i], &mut self.quads[i]);
+        let (joint, quads) = (&self.plant.joints[i], &mut self.quads[0][i]);
         let torsion = trace.across::<L>(first, |stage| stage.torsion[i]);
         let rate = trace.across::<L>(first, |stage| stage.rate[i]);
         let stiffness = joint.spring.stiffness(torsion);

@@ -111,6 +111,7 @@ fn differentiate_known<const LENGTH: usize>(
 ) -> Derivatives {
     let Request {
         directions,
+        variants,
         decimation,
         ..
     } = *request;
@@ -119,6 +120,7 @@ fn differentiate_known<const LENGTH: usize>(
             task,
             member,
             directions,
+            variants,
             decimation,
         })
     })?;

@@ -45,7 +45,7 @@ from strainwave.identification.whole_arm.problem.effect_unknowns import (
 from strainwave.identification.whole_arm.problem.objective import Objective
 from strainwave.identification.whole_arm.problem.starting_values import loads_of
 from strainwave.identification.whole_arm.problem.weighted_rows import Evaluation
-from strainwave.identification.whole_arm.records.dataset import Dataset
+from strainwave.identification.whole_arm.records.dataset import Dataset, Variant
 from strainwave.identification.whole_arm.search import Fit
 
 FALSE_ALARMS = 1e-4
@@ -311,25 +311,23 @@ class EffectColumns:
     def of(cls, fit: Fit, arm: Arm, tested: Mapping[EffectHypothesis, Shapes]) -> EffectColumns:
         """The columns of effects in addition to those of a fit.
 
-        All effects at the first of their shapes share one simulation, and so do those of each
-        further number; other gear laws have their own. Raises `InvalidInput` or `NumericalFailure`
+        All effects share one simulation; other gear laws have their own. Raises `InvalidInput` or `NumericalFailure`
         if the arm with effects cannot be simulated with finite derivatives.
         """
         objective, n = fit.objective, len(fit.space.unknowns)
-        passes: dict[tuple[int, bool], dict[EffectHypothesis, Shapes]] = {}
-        # effect by effect: blocks of directions with effects of the drive take longer
-        for one in sorted(tested, key=lambda one: one.effect):
-            key = one.number, effect_named(one.effect).tested_law is not None
-            passes.setdefault(key, {})[one] = tested[one]
+        # By number of the shapes, because a joint has an effect once; then effect by effect: blocks
+        # of directions with effects of the drive take longer.
+        groups: dict[bool, dict[int, dict[EffectHypothesis, Shapes]]] = {False: {}, True: {}}
+        for one in sorted(tested, key=lambda one: (one.number, one.effect)):
+            has_law = effect_named(one.effect).tested_law is not None
+            groups[has_law].setdefault(one.number, {})[one] = tested[one]
         sizes = {
             one: sizes_of(one.named_effect, fit.records)
-            for key in sorted(passes)
-            for one in passes[key]
+            for group in groups.values()
+            for numbered in group.values()
+            for one in numbered
         }
-        runs = [
-            (*_with_absent(fit, arm, run), [key for one in run for key in sizes[one]])
-            for run in (passes[key] for key in sorted(passes))
-        ]
+        runs = [_run_of(fit, arm, group, sizes) for group in groups.values() if group]
         n_sizes = sum(map(len, sizes.values()))
         frictions = (friction_parameters(arm, joint) for joint in range(1, arm.n_joints + 1))
         shifts = [
@@ -339,11 +337,11 @@ class EffectColumns:
         width = prior_rows.shape[1]
 
         def tangents(k: int, _: Evaluation) -> list[FloatArray]:
-            initial = objective.initial_states(k)
-            return [
-                records[k].linearise(values, initial, keys)[1][..., : len(keys)]
-                for records, values, keys in runs
-            ]
+            initial, columns = objective.initial_states(k), []
+            for records, ((values, keys), *variants) in runs:
+                tangent = records[k].linearise(values, initial, keys, variants=variants)[1]
+                columns += [tangent[..., : len(keys)], tangent[..., len(keys) + len(initial) :]]
+            return columns
 
         whole = objective.factor_with_columns(fit.z, width, tangents, prior_rows)
         if not np.isfinite(whole).all():
@@ -367,19 +365,26 @@ class EffectColumns:
         return slice(start, start + len(self.sizes[one])), shifts
 
 
-def _with_absent(
-    fit: Fit, arm: Arm, tested: Mapping[EffectHypothesis, Shapes]
-) -> tuple[Sequence[Dataset], Values]:
-    """The records with effects of size zero, and their values; each effect of a joint only once."""
-    absent = {
-        (name, one.joint): value
-        for one, shapes in tested.items()
-        for name, value in {**effect_named(one.effect).absent, **shapes}.items()
-    }
-    values = absent | fit.values
+def _run_of(
+    fit: Fit,
+    arm: Arm,
+    by_number: Mapping[int, Mapping[EffectHypothesis, Shapes]],
+    sizes: Mapping[EffectHypothesis, Sequence[Key]],
+) -> tuple[Sequence[Dataset], Sequence[Variant]]:
+    """The records with effects of size zero, and the values and sizes for each set of shapes."""
+    tested = [one for numbered in by_number.values() for one in numbered]
     laws = {one.joint: effect_named(one.effect).tested_law for one in tested}
     joints = tuple(
         replace(joint, spring=laws.get(number) or joint.spring, effects=names())
         for number, joint in enumerate(arm.joints, start=1)
     )
-    return set_record_effects(fit.objective.records, arm.with_joints(joints), values), values
+    values, variants = Values(), []
+    for numbered in by_number.values():
+        for one, shapes in numbered.items():
+            absent = {**effect_named(one.effect).absent, **shapes}
+            values |= {(name, one.joint): value for name, value in absent.items()}
+        variants.append((values | fit.values, [key for one in numbered for key in sizes[one]]))
+    records = set_record_effects(
+        fit.objective.records, arm.with_joints(joints), values | fit.values
+    )
+    return records, variants

@@ -41,6 +41,9 @@ from strainwave.signals.recorded_input import hold_torques
 Motion = Mapping[Quantity, FloatArray]
 """Simulated samples (n_samples, n_joints) of each quantity."""
 
+Variant = tuple[Values, Sequence[Key]]
+"""Values, and sizes of effects that are zero."""
+
 INITIAL_STATES = ("initial_motor_velocity", "initial_link_angle", "initial_link_velocity")
 """Unknown initial states of a record that begins in motion, one of each per joint."""
 
@@ -219,11 +222,13 @@ class Dataset:
         initial: FloatArray,
         directions: Sequence[Key],
         simulated: Motion | None = None,
+        variants: Sequence[Variant] = (),
     ) -> tuple[FloatArray, FloatArray]:
         """Simulated channels without biases (n_rows, n_channels), and their derivatives.
 
-        The derivatives (n_rows, n_channels, n_directions + n_initial) are those with respect to the
-        `directions`, which are parameters and sensor constants, and then to the initial states.
+        The derivatives (n_rows, n_channels, n_directions + n_initial + n_of_variants) are those with
+        respect to the `directions`, which are parameters and sensor constants, then to the initial
+        states, and then to those of `variants`, sizes of effects of a joint that are zero.
         `simulated` is the run of `plan`, if it is known: without derivatives, it suffices.
         """
         inputs = self._inputs(values)
@@ -248,6 +253,7 @@ class Dataset:
             max_time_step=self._time_step(inputs.values),
             low_pass=None if resonates else LowPass(taps, self.kernels.step),
             sums=self._sums(values),
+            variants=[(self._inputs(one).values, keys) for one, keys in variants],
         )
         motion, slopes = ({name: run[k] for name, run in runs.items()} for k in (0, 1))
         to_channels = self.filtered_channels if resonates else self._stack_channels
