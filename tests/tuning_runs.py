@@ -32,7 +32,7 @@ from strainwave.identification.whole_arm.problem.parameter_space import (
     Prior,
     Unknown,
 )
-from strainwave.identification.whole_arm.records.dataset import Dataset, Kernels, Motion
+from strainwave.identification.whole_arm.records.dataset import Dataset, Kernels, Motion, Variant
 from strainwave.io.logs import read_log
 from strainwave.io.study import read_study
 from strainwave.signals.recorded_input import recorded_drive
@@ -257,6 +257,7 @@ class LinearRecord(Dataset):
         local: FloatArray,
         directions: Sequence[tuple[str, int | None]],
         simulated: Motion | None = None,
+        variants: Sequence[Variant] = (),
     ) -> tuple[FloatArray, FloatArray]:
         asked = [int(name[1:]) for name, _ in directions]
         parameters = np.array([values[f"p{k}", None] for k in range(self.n)])

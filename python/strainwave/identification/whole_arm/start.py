@@ -19,7 +19,7 @@ from strainwave.domain.keys import Key, Values
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure
 from strainwave.identification.closed_loop import keep_known_effects
-from strainwave.identification.whole_arm.problem.objective import Objective
+from strainwave.identification.whole_arm.problem.objective import Objective, costs_of
 from strainwave.identification.whole_arm.problem.parameter_space import (
     ParameterSpace,
     Unknown,
@@ -59,6 +59,7 @@ _MAX_ANTI_RESONANCE = 2.0  # times the cutoff; the records do not distinguish st
 # gain of a scan, relative to its least cost, below which the stiffness stays: the cost then depends
 # on the errors of other parameters
 _FLAT_COST_SHARE = 0.05
+_RUNS_AT_ONCE = 32  # of a scan: enough for the registers of several cores
 _REFINEMENT = np.geomspace(1.0 / _STIFFNESS_STEP, _STIFFNESS_STEP, 9).tolist()
 _INFEASIBLE_START = (
     "the arm cannot be simulated with the estimates of the earlier stages. Check the signs, units"
@@ -225,8 +226,10 @@ def _scan_stiffness(start: Fit, joint: int) -> Fit:
     ratio = 1.0
     for grid in (_stiffness_ratios(part, start.z, joint), _REFINEMENT):
         ratios = [ratio * one for one in grid]
-        scaled = (part.replace_unknowns(_scale_stiffness(part.space, joint, r)) for r in ratios)
-        found = (each.cost(start.z) for each in scaled)
+        scaled = [part.replace_unknowns(_scale_stiffness(part.space, joint, r)) for r in ratios]
+        at_once = max(1, _RUNS_AT_ONCE // len(part.records))
+        batches = (scaled[k : k + at_once] for k in range(0, len(scaled), at_once))
+        found = (cost for batch in batches for cost in costs_of(batch, start.z))
         costs = [np.inf if cost is None else cost for cost in found]
         if at_start is not None and at_start < (1.0 + _FLAT_COST_SHARE) * min(costs):
             return start

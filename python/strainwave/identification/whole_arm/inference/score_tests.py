@@ -311,23 +311,24 @@ class EffectColumns:
     def of(cls, fit: Fit, arm: Arm, tested: Mapping[EffectHypothesis, Shapes]) -> EffectColumns:
         """The columns of effects in addition to those of a fit.
 
-        All effects share one simulation; other gear laws have their own. Raises `InvalidInput` or `NumericalFailure`
-        if the arm with effects cannot be simulated with finite derivatives.
+        All effects at the first of their shapes share one simulation, and so do those at all
+        further ones; other gear laws have their own. Raises `InvalidInput` or `NumericalFailure` if
+        the arm with effects cannot be simulated with finite derivatives.
         """
         objective, n = fit.objective, len(fit.space.unknowns)
         # By number of the shapes, because a joint has an effect once; then effect by effect: blocks
         # of directions with effects of the drive take longer.
-        groups: dict[bool, dict[int, dict[EffectHypothesis, Shapes]]] = {False: {}, True: {}}
+        groups: dict[tuple[bool, bool], dict[int, dict[EffectHypothesis, Shapes]]] = {}
         for one in sorted(tested, key=lambda one: (one.number, one.effect)):
-            has_law = effect_named(one.effect).tested_law is not None
-            groups[has_law].setdefault(one.number, {})[one] = tested[one]
+            simulation = effect_named(one.effect).tested_law is not None, one.number > 0
+            groups.setdefault(simulation, {}).setdefault(one.number, {})[one] = tested[one]
         sizes = {
             one: sizes_of(one.named_effect, fit.records)
             for group in groups.values()
             for numbered in group.values()
             for one in numbered
         }
-        runs = [_run_of(fit, arm, group, sizes) for group in groups.values() if group]
+        runs = [_run_of(fit, arm, group, sizes) for group in groups.values()]
         n_sizes = sum(map(len, sizes.values()))
         frictions = (friction_parameters(arm, joint) for joint in range(1, arm.n_joints + 1))
         shifts = [

@@ -7,6 +7,7 @@ eliminated record by record (variable projection).
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TYPE_CHECKING, TypeVar
@@ -55,6 +56,9 @@ MIN_CURVATURE_RATIO = 0.5
 _MAX_CACHED_BYTES = 2**28  # of derivatives; those of seven joints with IMUs have a gigabyte
 
 T = TypeVar("T")
+
+Motions = list[Motion | None]
+"""Motion of each record; None where it is not known."""
 
 
 @dataclass
@@ -130,10 +134,12 @@ class Objective:
         """Cost and least squares problem in the unknowns at z; None if the simulation fails."""
         return self._linearise(z, self._cluster)
 
-    def _linearise(self, z: FloatArray, cluster: Cluster | None) -> Linearised | None:
+    def _linearise(
+        self, z: FloatArray, cluster: Cluster | None, motions: Motions | None = None
+    ) -> Linearised | None:
         try:
             if cluster is None:
-                pairs = self._map_evaluated(z, self._linearised_record)
+                pairs = self._map_evaluated(z, self._linearised_record, motions=motions)
                 self.memory.rows = z.tobytes(), self.weights, [rows for _, rows in pairs]
                 parts = [part for part, _ in pairs]
             else:
@@ -162,16 +168,27 @@ class Objective:
 
     def cost(self, z: FloatArray) -> float | None:
         """Cost at z, by simulations without derivatives if it is not cached; None if one fails."""
-        space = self.space
         if self._cached_at(z) is not None:
             costs = [rows.cost(one) for rows, one in zip(self.rows(z), self.weights, strict=True)]
-            return float(sum(costs) + np.sum(space.linearise_prior(z)[1] ** 2))
-        known = space.fix_values(dict(zip(space.keys, space.parameters(z).tolist(), strict=True)))
-        plain = self.replace_unknowns(known)._linearise(np.zeros(0), self._cluster)
+            return float(sum(costs) + np.sum(self.space.linearise_prior(z)[1] ** 2))
+        return self._plain_cost(z, self._without_unknowns(z))
+
+    def _without_unknowns(self, z: FloatArray) -> Objective:
+        """The objective with all values fixed to those at z."""
+        keys, parameters = self.space.keys, self.space.parameters(z).tolist()
+        return self.replace_unknowns(
+            self.space.fix_values(dict(zip(keys, parameters, strict=True)))
+        )
+
+    def _plain_cost(
+        self, z: FloatArray, known: Objective, motions: Motions | None = None
+    ) -> float | None:
+        """Cost at z of the objective `known`, which has these values fixed."""
+        plain = known._linearise(np.zeros(0), self._cluster, motions)
         if plain is None:
             return None
-        _, prior = space.linearise_prior(z)
-        _, contained = known.linearise_prior(np.zeros(0))
+        _, prior = self.space.linearise_prior(z)
+        _, contained = known.space.linearise_prior(np.zeros(0))
         return float(plain.cost + np.sum(prior**2) - np.sum(contained**2))
 
     def rows(self, z: FloatArray) -> list[Rows]:
@@ -391,13 +408,15 @@ class Objective:
         work: Callable[[int, Evaluation], T],
         *,
         differentiated: bool = True,
+        motions: Motions | None = None,
     ) -> list[T]:
         """Apply `work` to the evaluation of every record at z, which is cached.
 
         Missing derivatives are computed again if the work requires them to be `differentiated`.
+        `motions` are those of the records, if they are known.
         """
         point, cached = z.tobytes(), self._cached_at(z)
-        motions = self._plain_motions(z) if cached is None else []
+        motions = motions or (self._plain_motions(z) if cached is None else [])
 
         def evaluate_and_apply(k: int, record: Dataset) -> tuple[Evaluation, T]:
             if cached is None:
@@ -461,18 +480,11 @@ class Objective:
             self._map_on_cluster(cluster, z, Objective._weighed_record)
             self._cached_at(z)
 
-    def _plain_motions(self, z: FloatArray) -> list[Motion | None]:
+    def _plain_motions(self, z: FloatArray) -> Motions:
         """Motions of all records at z where there is nothing to differentiate by, else None."""
-        motions: list[Motion | None] = [None] * len(self.records)
-        plain = [k for k, record in enumerate(self.records) if not record.initial_states]
-        if self.space.unknowns or len(plain) < 2:
-            return motions
-        values, none = self.space.values(z), np.zeros(0)
-        records = [self.records[k] for k in plain]
-        plans = run_parallel([partial(record.plan, values, none) for record in records])
-        for k, motion in zip(plain, simulate_runs(plans), strict=True):
-            motions[k] = motion
-        return motions
+        if self.space.unknowns:
+            return [None] * len(self.records)
+        return _motions_of([self])[0]
 
     def _evaluate_record(
         self, k: int, record: Dataset, z: FloatArray, motion: Motion | None
@@ -616,6 +628,39 @@ class Objective:
     def _map_records(self, work: Callable[[int, Dataset], T]) -> list[T]:
         """Apply `work` to every record in parallel threads; simulations release the GIL."""
         return run_parallel([partial(work, k, record) for k, record in enumerate(self.records)])
+
+
+def costs_of(objectives: Sequence[Objective], z: FloatArray) -> list[float | None]:
+    """Costs of several objectives at z, by simulations that share registers; None if one fails."""
+    known = [one._without_unknowns(z) for one in objectives]
+    motions: list[Motions | None] = [None] * len(known)
+    if not any(one._cluster for one in objectives):
+        with suppress(InvalidInput, NumericalFailure):  # each alone then, as some do not fail
+            motions = [*_motions_of(known)]
+    jobs = zip(objectives, known, motions, strict=True)
+    return [one._plain_cost(z, fixed, own) for one, fixed, own in jobs]
+
+
+def _motions_of(objectives: Sequence[Objective]) -> list[Motions]:
+    """Motions of the records of objectives without unknowns.
+
+    None for a record that begins in motion.
+    """
+    motions: list[Motions] = [[None] * len(one.records) for one in objectives]
+    places = [
+        (i, k)
+        for i, one in enumerate(objectives)
+        for k, record in enumerate(one.records)
+        if not record.initial_states
+    ]
+    if len(places) < 2:
+        return motions
+    none = np.zeros(0)
+    values = [one.space.values(none) for one in objectives]
+    plans = [partial(objectives[i].records[k].plan, values[i], none) for i, k in places]
+    for (i, k), motion in zip(places, simulate_runs(run_parallel(plans)), strict=True):
+        motions[i][k] = motion
+    return motions
 
 
 def evaluate_on_worker(

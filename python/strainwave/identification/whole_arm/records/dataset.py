@@ -226,10 +226,10 @@ class Dataset:
     ) -> tuple[FloatArray, FloatArray]:
         """Simulated channels without biases (n_rows, n_channels), and their derivatives.
 
-        The derivatives (n_rows, n_channels, n_directions + n_initial + n_of_variants) are those with
-        respect to the `directions`, which are parameters and sensor constants, then to the initial
-        states, and then to those of `variants`, sizes of effects of a joint that are zero.
-        `simulated` is the run of `plan`, if it is known: without derivatives, it suffices.
+        The derivatives (n_rows, n_channels, n_directions + n_initial + n_of_variants) are those
+        with respect to the `directions`, which are parameters and sensor constants, then to the
+        initial states, and then to sizes of effects in `variants`. `simulated` is the run of
+        `plan`, if it is known: without derivatives, it suffices.
         """
         inputs = self._inputs(values)
         by_core = [key for key in directions if not constant_of(key)]
