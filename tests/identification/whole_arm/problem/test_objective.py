@@ -16,7 +16,11 @@ from strainwave.domain import FloatArray
 from strainwave.dynamics.arm import Arm
 from strainwave.identification.whole_arm.inference.covariance import confidence_at
 from strainwave.identification.whole_arm.problem import objective as objective_module
-from strainwave.identification.whole_arm.problem.objective import BLOCKS_PER_RECORD, Objective
+from strainwave.identification.whole_arm.problem.objective import (
+    BLOCKS_PER_RECORD,
+    Objective,
+    costs_of,
+)
 from strainwave.identification.whole_arm.problem.parameter_space import ParameterSpace, Prior
 from strainwave.identification.whole_arm.problem.starting_values import (
     add_settling_unknowns,
@@ -167,6 +171,28 @@ def test_the_cost_needs_no_derivatives(spring: str) -> None:
     )
     bound = objective.replace_unknowns(prior)
     assert bound.cost(z) == pytest.approx(cost_of(bound, z), rel=1e-6)
+
+
+def test_costs_of_several_objectives_are_those_of_each() -> None:
+    space, (record, _), z = rig("linear")
+    coupling = next(k for k, key in enumerate(space.keys) if key[0] == "gamma")
+    objectives = []
+    for factor in (0.8, 0.9, 1.0, 1e3):  # the last one is impossible
+        unknowns = [
+            replace(one, start=factor * one.start, scale=factor * one.scale)
+            if k == coupling
+            else one
+            for k, one in enumerate(space.unknowns)
+        ]
+        scaled = replace(space, unknowns=tuple(unknowns))
+        objectives.append(Objective.of(scaled, [record, record]))
+    costs = costs_of(objectives, z)
+    alone = [one.cost(z) for one in objectives]
+    assert costs[-1] is None
+    assert alone[-1] is None
+    assert len(set(alone)) == len(alone)
+    for found in (costs[:-1], costs_of(objectives[:-1], z)):  # one by one, and at once
+        assert found == pytest.approx(alone[:-1], rel=1e-9)
 
 
 @pytest.mark.parametrize("spring", ["linear", "three-slope"])
