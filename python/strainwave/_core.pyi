@@ -21,6 +21,7 @@ __all__ = [
     "joint_effects",
     "parameter_table",
     "residual_products_without_blocks",
+    "symmetric_filter",
     "triangular_factor",
     "weighted_factor",
 ]
@@ -240,6 +241,19 @@ def residual_products_without_blocks(
 
     Y, Z and G = Z'Z + I lack the block's rows. The GIL is released. Raises ValueError for stops
     that do not rise within the rows, sizes that do not fit and entries that are not finite.
+    """
+
+def symmetric_filter(
+    signal: NDArray[np.float64],
+    response: NDArray[np.float64],
+    first: int,
+    step: int,
+    count: int,
+) -> NDArray[np.float64]:
+    """Samples (count, n_columns) of a signal (n_samples, n_columns) after a symmetric filter.
+
+    `response` (n,) is the impulse response at the impulse and at later samples. The GIL is
+    released. Raises ValueError for a signal that ends within the response of a sample.
     """
 
 def triangular_factor(table: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -2,8 +2,9 @@
 //!
 //! [`products`] adds products of tall matrices, tile by tile in registers. [`triangular`] computes
 //! the triangular factor of a tall matrix. [`elimination`] eliminates local unknowns from
-//! least-squares problems. Matrices are row-major slices; samples are rows.
+//! least-squares problems. [`symmetric_filter`] filters at selected samples. Matrices are row-major slices; samples are rows.
 
 pub mod elimination;
 pub mod products;
+pub mod symmetric_filter;
 pub mod triangular;

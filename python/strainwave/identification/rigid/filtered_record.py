@@ -89,7 +89,11 @@ class FilteredRecord:
     def filtered(self, signal: FloatArray) -> FloatArray:
         """Apply the equations' filter to a signal at the motion's samples: (n_rows, ...)."""
         step, T = self.motion_step, self.signals.sample_time
-        return low_pass(signal, self.bandwidth_hz, T, decimated=step)[self.rows // step]
+        at = self.rows // step
+        if not len(at):
+            return signal[:0]
+        kept = slice(int(at[0]), int(at[-1]) + 1, decimation(T, self.bandwidth_hz) // step)
+        return low_pass(signal, self.bandwidth_hz, T, decimated=step, kept=kept)
 
 
 def decimation(sample_time: float, bandwidth_hz: float) -> int:
@@ -168,15 +172,16 @@ def prepare(arm: Arm, signals: Signals, bandwidth_hz: float, period: float) -> F
         no_shapes = Banded(0 * rows, np.zeros((len(rows), 0)), 0)
         used = friction if elastic or informative.any() else no_shapes
         free.append(used.rows(informative))
+    channels = [
+        signals.motor_angle,
+        signals.motor_velocity,
+        signals.motor_acceleration,
+        signals.motor_torque,
+        signals.direction,
+    ]
+    filtered = motion_of(np.concatenate(channels, axis=1), bandwidth_hz, T)
     angle, velocity, acceleration, torque, direction = (
-        motion_of(x, bandwidth_hz, T)
-        for x in (
-            signals.motor_angle,
-            signals.motor_velocity,
-            signals.motor_acceleration,
-            signals.motor_torque,
-            signals.direction,
-        )
+        np.ascontiguousarray(x) for x in np.split(filtered, len(channels), axis=1)
     )
     motion = (angle, velocity, acceleration)
     torsion = tuple(motion_of(x, bandwidth_hz, T) for x in torsion_motion(signals))
