@@ -25,10 +25,11 @@ _MIN_SIGNAL_TO_FLOOR = 4.0
 _MIN_SAMPLES = 32  # shortest record for a spectral estimate, and shortest padding
 # periods of the cut-off frequency after which a transient is below rounding
 _SETTLING_PERIODS = 14.0
-# periods of the cut-off frequency after which the impulse response of the low-pass is below 1e-9
-_RESPONSE_PERIODS = 9.0
-# Summands per sample of a signal up to which sums take less time than a transform: half as long.
-_MAX_SUMMANDS = 150
+# periods of the cut-off frequency after which the impulse response of the low-pass is below 1e-11
+_RESPONSE_PERIODS = 11.0
+_SUMS_PER_VECTOR = 16  # sums over impulse responses that take the time of one
+# Products of such vectors per number of a signal up to which they take less time than a transform.
+_MAX_VECTORS = 15
 # samples per transform; longer transforms do not fit the processor cache
 _MAX_TRANSFORM_SAMPLES = 1 << 17
 
@@ -48,7 +49,7 @@ def low_pass(
     is the squared magnitude of one pass, so the gain at the cut-off is 1/2. The filter multiplies
     the spectrum of the signal, extended at both ends by point reflection. Long signals are filtered
     in overlapping pieces, which changes the result by rounding errors only. Few samples of a signal
-    are sums over the impulse response, up to where it is below 1e-9.
+    are sums over the impulse response, up to where it is below 1e-11.
 
     `signal` (n_samples, ...).
     `cutoff_hz` [Hz]: From 0.45 of the sampling rate on, the signal is returned unchanged.
@@ -63,7 +64,10 @@ def low_pass(
         return signal[kept]
     n, indices = len(signal), range(len(signal))[kept]
     reach = int(_RESPONSE_PERIODS / (relative * decimated))
-    if 0 < reach < n and 0 < len(indices) * reach < _MAX_SUMMANDS * n and signal.size:
+    run = signal[0].size * (len(indices) if indices.step == 1 else 1)  # successive sums
+    n_runs = len(indices) * signal[0].size // max(run, 1)
+    n_vectors = n_runs * -(-run // _SUMS_PER_VECTOR)
+    if 0 < reach < n and 0 < n_vectors * reach < _MAX_VECTORS * signal.size:
         extended = _point_reflected(signal, reach).reshape(n + 2 * reach, -1)
         response = _half_response(reach, relative, decimated)
         place = indices.start + reach, indices.step, len(indices)

@@ -125,12 +125,10 @@ def sample_motion(records: Sequence[Signals], bandwidth_hz: float) -> FloatArray
     parts, count = [], -(-_MAX_MOTION_SAMPLES // len(records))
     for s in records:
         rows = slice(None, None, -(-len(s.time) // count))
-        motion = [
-            low_pass(x, bandwidth_hz, s.sample_time, kept=rows)
-            for x in (s.motor_angle, s.motor_velocity, s.motor_acceleration)
-        ]
-        motion[1] = np.where(s.direction[rows] != 0.0, motion[1], 0.0)
-        parts.append(np.stack(motion))
+        channels = s.motor_angle, s.motor_velocity, s.motor_acceleration
+        motion = low_pass(np.stack(channels, axis=1), bandwidth_hz, s.sample_time, kept=rows)
+        motion[:, 1] *= s.direction[rows] != 0.0
+        parts.append(np.swapaxes(motion, 0, 1))
     return np.concatenate(parts, axis=1)
 
 

@@ -19,6 +19,7 @@ from strainwave.identification.rigid.equations import (
     anti_resonances,
     assemble,
     average_estimates,
+    blocks_of,
     convert_estimate,
     estimate_of,
     slides_both_ways,
@@ -102,8 +103,7 @@ class Trial:
 
         The standard deviations of the jackknife are unreliable then.
         """
-        n_rows = _MIN_ROWS_PER_BLOCK * self.n_blocks * self.arm.n_joints
-        return len(self.equations.target) < n_rows
+        return _has_short_blocks(self.arm, self.stretches)
 
     @property
     def max_rigid_bandwidth(self) -> float:
@@ -144,6 +144,11 @@ class Trial:
             if torque > 0.0:
                 errors[i + 1] = float(np.linalg.norm(residual[rows])) / torque
         return errors
+
+
+def _has_short_blocks(arm: Arm, stretches: Sequence[FilteredRecord]) -> bool:
+    n_rows = sum(int(s.keep.sum()) for s in stretches)
+    return n_rows < _MIN_ROWS_PER_BLOCK * sum(blocks_of(stretches)) * arm.n_joints
 
 
 def fit_trial(
@@ -247,25 +252,53 @@ Motion = tuple[Signals, float]
 
 
 def search_bandwidths(motions: Sequence[Motion], arm: Arm) -> list[Trial]:
-    """Fit at increasing bandwidths while the estimates improve and the gears are nearly rigid."""
+    """Fit at increasing bandwidths while the estimates improve and the gears are nearly rigid.
+
+    The first one has blocks of sufficient length, if any has. Neighbours of the best below it
+    start from its estimate, because short blocks do not determine a start.
+    """
+    is_rigid = n_compliances(arm) == 0
+    bandwidths = list(bandwidths_of(motions, _BANDWIDTH_RATIO ** (2 if is_rigid else 1)))
+    short: list[tuple[FilteredRecord, ...]] = []
+    for bandwidth in bandwidths:
+        short.append(prepare_all(arm, motions, bandwidth))
+        if not _has_short_blocks(arm, short[-1]):
+            break
+    else:
+        short.clear()
+    prepared, below = short[-1:], short[-2::-1]
     trials: list[Trial] = []
     least_spread, n_without_gain = np.full(len(arm.rigid_columns), np.inf), 0
-    is_rigid = n_compliances(arm) == 0
-    for bandwidth in bandwidths_of(motions, _BANDWIDTH_RATIO ** (2 if is_rigid else 1)):
+    for bandwidth in bandwidths[len(below) :]:
         limits = [trial.max_rigid_bandwidth for trial in trials[-2:]]
         if len(limits) > 1 and bandwidth > max(limits):  # a single trial may be unreliable
             break
-        stretches = prepare_all(arm, motions, bandwidth)
-        last = trials[-1] if trials else None
-        start = convert_estimate(last.estimate, last.stretches, stretches) if last else None
-        trial = fit_trial(arm, stretches, start)
+        stretches = prepared.pop() if prepared else prepare_all(arm, motions, bandwidth)
+        trial = _fit_next(arm, stretches, trials[-1] if trials else None)
         trials.append(trial)
         has_improved = bool(np.any(trial.spread < least_spread - _MIN_LOG_GAIN))
         n_without_gain = 0 if has_improved else n_without_gain + 1
         least_spread = np.minimum(least_spread, trial.spread)
         if n_without_gain >= _MAX_BANDWIDTHS_WITHOUT_GAIN:
             break
+    best = select_bandwidth(trials)
+    for stretches in below:
+        if _is_near(stretches[0].bandwidth_hz, best):
+            trials.insert(0, _fit_next(arm, stretches, trials[0]))
     return trials
+
+
+def _fit_next(arm: Arm, stretches: tuple[FilteredRecord, ...], last: Trial | None) -> Trial:
+    """Fit from the estimate and the weights at the last bandwidth."""
+    if last is None:
+        return fit_trial(arm, stretches, None)
+    joint = np.concatenate([np.nonzero(s.keep.T)[0] for s in stretches])
+    roots, group = last.factor.root, last.equations.group
+    weights = np.zeros(len(joint))
+    for i in np.unique(joint):
+        weights[joint == i] = np.median(roots[group == i]) if np.any(group == i) else 0.0
+    start = convert_estimate(last.estimate, last.stretches, stretches)
+    return fit_trial(arm, stretches, start, weights=weights if weights.all() else None)
 
 
 def bandwidths_of(motions: Sequence[Motion], step: float) -> Iterator[float]:
@@ -310,12 +343,11 @@ def select_bandwidth(trials: Sequence[Trial]) -> Trial:
     The regret of a bandwidth is the largest ratio of a standard deviation to its minimum over the
     bandwidths. For elastic gears, the lowest bandwidth with a small regret is selected, because
     model error is largest at high frequencies. For rigid gears, the standard deviations include the
-    model error, because noise of the acceleration or a delay biases inertias at high frequencies;
-    bandwidths with few rows count only if there are no others.
+    model error, because noise of the acceleration or a delay biases inertias at high frequencies.
+    Bandwidths with few rows count only if there are no others.
     """
     is_rigid = not n_compliances(trials[0].arm)
-    if is_rigid:
-        trials = [t for t in trials if not t.has_short_blocks] or trials
+    trials = [t for t in trials if not t.has_short_blocks] or trials
     spread = np.array([trial.spread for trial in trials])
     for k, trial in enumerate(trials if is_rigid else ()):
         near = neighbours(trials, trial)
@@ -333,9 +365,11 @@ def select_bandwidth(trials: Sequence[Trial]) -> Trial:
 
 def neighbours(trials: Sequence[Trial], best: Trial) -> list[Trial]:
     """Trials within about a factor of two of the best bandwidth."""
-    return [
-        t for t in trials if t is not best and 0.45 <= t.bandwidth_hz / best.bandwidth_hz <= 2.1
-    ]
+    return [t for t in trials if t is not best and _is_near(t.bandwidth_hz, best)]
+
+
+def _is_near(bandwidth_hz: float, best: Trial) -> bool:
+    return 0.45 <= bandwidth_hz / best.bandwidth_hz <= 2.1
 
 
 def excess_variance(
