@@ -205,9 +205,9 @@ class Arm:
     ) -> NDArray[np.float64]:
         """Motor torques of a links' motion behind rigid gears, (5): (n_samples, n_joints)."""
     def inertia_matrix(
-        self, parameters: NDArray[np.float64], angle: NDArray[np.float64]
+        self, base: NDArray[np.float64], angle: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """M_L(q) of (2) at each posture: (n_samples, n_joints, n_joints)."""
+        """M_L(q) of (2) for base parameters at each posture: (n_samples, n_joints, n_joints)."""
     def bias_torques(
         self,
         parameters: NDArray[np.float64],

@@ -100,7 +100,7 @@ def body_regressor(
     The rotors accelerate before the gears, whose `torsion` may be measured.
     """
     phi = arm.rigid_regressor(*links)
-    if torsion:
+    if len(torsion):
         ahead = arm.motor_accelerations(torsion[2])
         phi += ahead[:, :, None] * arm.motors_of_rigid(motor_share)
     return phi

@@ -55,7 +55,9 @@ class FilteredRecord:
     links: tuple[FloatArray, ...]  # motion of the links, as `motion`, without unknown torsions
     body: FloatArray  # (n_rows, n_joints, n_body) regressor of the links if rigid, otherwise empty
     rows: IntArray  # (n_rows,) sample indices
-    keep: BoolArray  # (n_rows, n_joints)
+    # (n_equations,) of each equation, joint by joint: joint from 0, and index of its row
+    joint: IntArray
+    row: IntArray
     torque: FloatArray  # (n_rows, n_joints)
     friction: FloatArray  # (n_rows, n_joints, 3) per dq, sgn(dq), 1
     # per joint, shape functions of the free friction at the motion's samples: indices (n_near,)
@@ -185,6 +187,7 @@ def prepare(arm: Arm, signals: Signals, bandwidth_hz: float, period: float) -> F
     torsion = tuple(motion_of(x, bandwidth_hz, T) for x in torsion_motion(signals))
     links = tuple(link_motion(arm, motion, torsion))
     unfiltered = np.stack([torque, velocity, direction, np.ones_like(torque)], axis=2)
+    joint, row = np.nonzero(keep)
     # filter both sides at the same samples, so that edge effects are equal
     filtered = low_pass(unfiltered, bandwidth_hz, T, decimated=step)[rows // step]
     stretch = FilteredRecord(
@@ -197,7 +200,8 @@ def prepare(arm: Arm, signals: Signals, bandwidth_hz: float, period: float) -> F
         links=links,
         body=np.zeros(0),
         rows=rows,
-        keep=np.column_stack(keep),
+        joint=joint,
+        row=row,
         torque=filtered[:, :, 0],
         friction=filtered[:, :, 1:],
         stiction_shapes=tuple(stiction_shapes),

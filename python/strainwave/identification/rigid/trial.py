@@ -147,7 +147,7 @@ class Trial:
 
 
 def _has_short_blocks(arm: Arm, stretches: Sequence[FilteredRecord]) -> bool:
-    n_rows = sum(int(s.keep.sum()) for s in stretches)
+    n_rows = sum(len(s.row) for s in stretches)
     return n_rows < _MIN_ROWS_PER_BLOCK * sum(blocks_of(stretches)) * arm.n_joints
 
 
@@ -186,7 +186,7 @@ def fit_trial(
         if has_converged:
             break
         root = ls.root_weights(equations, factor)
-        equations = assemble(arm, stretches, start, candidates)
+        equations = assemble(arm, stretches, start, candidates, equations)
     covariance, common_variance = ls.jackknife(equations, factor)
     assert start is not None
     change, variance, weighed = _weights_of_links(arm, stretches, factor, start.solution)
@@ -292,7 +292,7 @@ def _fit_next(arm: Arm, stretches: tuple[FilteredRecord, ...], last: Trial | Non
     """Fit from the estimate and the weights at the last bandwidth."""
     if last is None:
         return fit_trial(arm, stretches, None)
-    joint = np.concatenate([np.nonzero(s.keep.T)[0] for s in stretches])
+    joint = np.concatenate([s.joint for s in stretches])
     roots, group = last.factor.root, last.equations.group
     weights = np.zeros(len(joint))
     for i in np.unique(joint):
