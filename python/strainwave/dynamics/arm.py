@@ -112,7 +112,11 @@ class Arm(ArmDescription):
 
     def joints_of(self, torques: FloatArray) -> FloatArray:
         """Joint torques that motor torques balance, the inverse of `motors_of`: (..., n_joints)."""
-        return np.asarray(torques @ np.linalg.inv(self.transmission))
+        return np.asarray(torques @ self._inverse_transmission)
+
+    @cached_property
+    def _inverse_transmission(self) -> FloatArray:
+        return np.linalg.inv(self.transmission)
 
     @cached_property
     def torque_per_volt(self) -> FloatArray:
@@ -282,7 +286,7 @@ class Arm(ArmDescription):
         """Motor motion of a link motion behind rigid gears, (C N)^-1 q: (..., n_joints)."""
         if self.coupling is None:
             return np.asarray(links / self.gear_ratios)
-        return np.asarray(links @ np.linalg.inv(self.transmission).T)
+        return np.asarray(links @ self._inverse_transmission.T)
 
     def link_velocity_limits(self, motors: FloatArray) -> FloatArray:
         """Link speeds [rad/s] up to which no motor exceeds its limit in `motors` (n_joints,)."""

@@ -97,12 +97,21 @@ def _passed(signal: FloatArray, relative: float, decimated: int) -> FloatArray:
     return _filter_about_line(extended, gain, slice(pad, pad + n))[0]
 
 
+def impulse_response(reach: int, cutoff_hz: float, sample_time: float) -> FloatArray:
+    """Impulse response of `low_pass` for a signal of `reach` samples on both sides of the impulse.
+
+    Shape (2 reach + 1,). It is zero at both ends, because the impulse is reflected there.
+    """
+    half = _half_response(3 * reach, cutoff_hz * sample_time, 1)
+    at = np.abs(np.arange(-reach, reach + 1))
+    return np.asarray(half[at] - half[2 * reach - at] - half[2 * reach + at])
+
+
 @lru_cache(maxsize=32)
 def _half_response(reach: int, relative: float, decimated: int) -> FloatArray:
     """Impulse response of the low-pass from the impulse on, (reach + 1,)."""
-    size = fast_length(4 * reach)
+    size = fast_length(2 * max(reach, int(_SETTLING_PERIODS / (relative * decimated))))
     response = np.fft.irfft(_gain(size, relative, decimated), size)[: reach + 1]
-    response /= 2.0 * response.sum() - response[0]
     response.setflags(write=False)
     return response
 

@@ -243,7 +243,9 @@ def root_weights(equations: Equations, factor: Factor) -> FloatArray:
         size = np.abs(residual[informative]) / np.sqrt(shares)
         # for an exact model, the residuals are rounding errors: keep the weights finite
         rms = float(np.sqrt(np.mean(equations.target[rows] ** 2)))
-        std = max(STD_PER_MEDIAN * float(np.median(size)), 1e-6 * rms, 1e-300)
+        size.sort()
+        median = 0.5 * float(size[(len(size) - 1) // 2] + size[len(size) // 2])
+        std = max(STD_PER_MEDIAN * median, 1e-6 * rms, 1e-300)
         normalised = np.abs(residual[rows]) / std
         root[rows] = np.sqrt(HUBER_LIMIT_STDS / np.maximum(normalised, HUBER_LIMIT_STDS)) / std
     return root
@@ -274,16 +276,13 @@ def jackknife(equations: Equations, factor: Factor) -> tuple[FloatArray, FloatAr
     to_parameters = basis / factor.singular[factor.is_resolved]
     gram, block_grams, priors = _normal_equations(equations, factor.root, to_parameters)
     reference = np.linalg.solve(gram[:, :-1], gram[:, -1])
-    shifts = []
-    for block_gram in block_grams:
-        rest = gram - block_gram
-        # a small ridge keeps a direction that only this block determines at a finite value
-        rest[np.diag_indices(len(rest))] += 1e-9
-        shifts.append(np.linalg.solve(rest[:, :-1], rest[:, -1]) - reference)
+    # a small ridge keeps a direction that only one block determines at a finite value
+    rest = gram - block_grams + 1e-9 * np.eye(*gram.shape)
+    shifts = np.linalg.solve(rest[:, :, :-1], rest[:, :, -1:])[:, :, 0] - reference
     m = len(shifts)
     inverse = np.linalg.inv(gram[:, :-1])
     of_priors = inverse @ priors @ inverse
-    inner_covariance = (m - 1) / m * np.array(shifts).T @ np.array(shifts) + of_priors
+    inner_covariance = (m - 1) / m * shifts.T @ shifts + of_priors
     k = to_parameters.shape[1]
     covariance: FloatArray = to_parameters @ inner_covariance[:k, :k] @ to_parameters.T
     return covariance, np.asarray(np.diag(inner_covariance)[k:] * equations.common_deviation**2)
@@ -291,12 +290,12 @@ def jackknife(equations: Equations, factor: Factor) -> tuple[FloatArray, FloatAr
 
 def _normal_equations(
     equations: Equations, root: FloatArray, back: FloatArray
-) -> tuple[FloatArray, list[FloatArray], FloatArray]:
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Normal equations of w and the common nuisance parameters, without the local parameters.
 
     The parameters are x = `back @ w`. Returns the matrix (k, k + 1), whose last column is the
-    right-hand side, the contribution of each block to it, and that of the errors of the priors, of
-    unit variance, (k, k).
+    right-hand side, the contributions of the blocks to it, (n_blocks, k, k + 1), and that of the
+    errors of the priors, of unit variance, (k, k).
     """
     common = equations.common * equations.common_deviation
     columns = [equations.shared @ back, common, equations.target]
@@ -304,41 +303,42 @@ def _normal_equations(
     n = rows.shape[1]
     gram, priors = np.zeros((n, n)), np.zeros((n, n))
     has_no_local = equations.group != PRIOR_GROUP
-    block_grams: dict[int, FloatArray] = {}
+    labels, block = np.unique(equations.block, return_inverse=True)
+    block_grams = np.zeros((len(labels), n, n))
     for part, Z in _weighted_parts(equations, root):
         if not Z.entries.size:
             continue
         coefficients, _, _ = _eliminate(Z, rows[part.rows], leverage=False)
-        part_gram, without = _without_blocks(Z, rows[part.rows], equations.block[part.rows])
+        part_gram, without = _without_blocks(Z, rows[part.rows], block[part.rows], len(labels))
         gram += part_gram
         priors += coefficients.T @ coefficients
-        for label, remaining in without.items():
-            block_grams[label] = block_grams.get(label, 0.0) + part_gram - remaining
+        block_grams += part_gram - without
         has_no_local[part.rows] = False
-    for label in np.unique(equations.block[has_no_local]).tolist():
-        block_rows = rows[has_no_local & (equations.block == label)]
-        block_grams[label] = block_grams.get(label, 0.0) + block_rows.T @ block_rows
+    for label in np.unique(block[has_no_local]).tolist():
+        block_rows = rows[has_no_local & (block == label)]
+        block_grams[label] += block_rows.T @ block_rows
         gram += block_rows.T @ block_rows
     n_own = n - 1 - common.shape[1]
     prior_rows = np.vstack([rows[equations.group == PRIOR_GROUP], np.eye(n)[n_own:-1]])
     gram += prior_rows.T @ prior_rows
     priors += prior_rows.T @ prior_rows
-    return gram[:-1], [each[:-1] for each in block_grams.values()], priors[:-1, :-1]
+    has_rows = np.zeros(len(labels), dtype=bool)
+    has_rows[block[equations.group != PRIOR_GROUP]] = True
+    return gram[:-1], block_grams[has_rows, :-1], priors[:-1, :-1]
 
 
 def _without_blocks(
-    Z: Banded, right: FloatArray, block: IntArray
-) -> tuple[FloatArray, dict[int, FloatArray]]:
-    """Matrix right' (I + Z Z')^-1 right for all rows, and without the rows of each label."""
+    Z: Banded, right: FloatArray, block: IntArray, n_blocks: int
+) -> tuple[FloatArray, FloatArray]:
+    """Matrix right' (I + Z Z')^-1 right for all rows, and without each block, (n_blocks, ...)."""
     order = np.argsort(block, kind="stable")
-    present, counts = np.unique(block, return_counts=True)
-    stops = [0, *np.cumsum(counts).tolist()]
+    stops = [0, *np.cumsum(np.bincount(block, minlength=n_blocks)).tolist()]
     Z = Z.rows(order)
     right = np.ascontiguousarray(right[order])
     full, *without = _core.residual_products_without_blocks(
         Z.first, Z.entries, Z.n_columns, right, stops
     )
-    return full, dict(zip(present.tolist(), without, strict=True))
+    return full, np.array(without)
 
 
 def determined(equations: Equations, factor: Factor, covariance: FloatArray) -> BoolArray:

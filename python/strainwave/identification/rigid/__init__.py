@@ -57,6 +57,7 @@ from strainwave.identification.rigid.trial import (
     prepare_all,
     search_bandwidths,
     select_bandwidth,
+    solve,
 )
 from strainwave.numerics.parallel import one_blas_thread
 from strainwave.signals.motor import period_of
@@ -115,10 +116,10 @@ def _fit(
         if any(c.effect in LOAD_TERMS for c in best.candidates):
             # other shares of the rotors in inertias, on which the gears' loads depend
             shares = replace(best.estimate.shares, inertia=_ALTERNATIVE_INERTIA_SHARE)
-            other = fit_trial(
+            other = solve(
                 best.arm, best.stretches, best.estimate, shares, best.candidates, best.factor.root
             )
-            change = other.solution - best.solution
+            change = other.estimate.solution - best.solution
             doubt += np.outer(change, change)
             of_terms = other.factor.common - best.factor.common
             best = replace(best, common_deviation=np.hypot(best.common_deviation, of_terms))
@@ -250,7 +251,7 @@ def _elastic_model_error(best: Trial) -> FloatArray:
         alternatives.append(replace(usual, viscous_friction=_ALTERNATIVE_VISCOUS_SHARE))
     arms = [(arm.behind_rigid_gears(), usual), *((arm, shares) for shares in alternatives)]
     rigid_solution, *others = (
-        fit_trial(each, best.stretches, best.estimate, shares, weights=root).solution
+        solve(each, best.stretches, best.estimate, shares, weights=root).estimate.solution
         for each, shares in arms
     )
     next_order = (best.solution - rigid_solution) * ratio**2

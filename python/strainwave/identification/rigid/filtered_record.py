@@ -18,7 +18,7 @@ from strainwave.dynamics.rigid_prediction import (
     link_motion,
     torsion_motion,
 )
-from strainwave.numerics.filters import low_pass
+from strainwave.numerics.filters import impulse_response, low_pass
 from strainwave.numerics.linalg import Banded
 from strainwave.signals.standstill import free_friction, responses, running
 
@@ -98,6 +98,14 @@ class FilteredRecord:
         return low_pass(signal, self.bandwidth_hz, T, decimated=step, kept=kept)
 
 
+def count_rows(arm: Arm, signals: Signals, bandwidth_hz: float) -> int:
+    """Number of rows of a record, before those without information are left out."""
+    T, n = signals.sample_time, len(signals.time)
+    edge = _edge_samples(T, bandwidth_hz)
+    is_mirrored = not n_compliances(arm) and edge > _MAX_EDGE_SHARE * n
+    return max(0, n - 2 * edge * (not is_mirrored)) // decimation(T, bandwidth_hz)
+
+
 def decimation(sample_time: float, bandwidth_hz: float) -> int:
     """Number of samples per equation."""
     step = _motion_step(sample_time, bandwidth_hz)
@@ -154,8 +162,10 @@ def prepare(arm: Arm, signals: Signals, bandwidth_hz: float, period: float) -> F
     step = _motion_step(T, bandwidth_hz)
     rows = np.arange(edge, n_samples - edge, decimation(T, bandwidth_hz))
     motion_samples = np.arange(n_samples)[_motion_slice(T, bandwidth_hz)]
-    kernel = _impulse_response(bandwidth_hz, T)
-    motion_kernel = _impulse_response(_MOTION_CUTOFFS * bandwidth_hz, T)
+    kernel, motion_kernel = (
+        impulse_response(_edge_samples(T, cutoff), cutoff, T)
+        for cutoff in (bandwidth_hz, _MOTION_CUTOFFS * bandwidth_hz)
+    )
     keep, stiction_shapes, free = [], [], []
     for i in range(n_joints):
         spacing = max(2, round(cutoff_period / _KNOTS_PER_PERIOD))
@@ -209,7 +219,7 @@ def prepare(arm: Arm, signals: Signals, bandwidth_hz: float, period: float) -> F
         noise=_column_noise(arm, signals, bandwidth_hz),
         period=period,
         sliding_time=period * T * float(np.mean(signals.direction != 0.0)),
-        slides=np.array([np.any(sign * signals.direction > 0.0, axis=0) for sign in (1.0, -1.0)]),
+        slides=np.array([signals.direction.max(axis=0) > 0.0, signals.direction.min(axis=0) < 0.0]),
     )
     if elastic:
         return stretch
@@ -235,14 +245,6 @@ def _mirror_ends(signals: Signals, count: int) -> Signals:
         valid=mirrored(signals.valid),
         torsion=None if signals.torsion is None else mirrored(signals.torsion),
     )
-
-
-def _impulse_response(cutoff_hz: float, sample_time: float) -> FloatArray:
-    """Impulse response of the low-pass, centred, until it has decayed."""
-    half_length = _edge_samples(sample_time, cutoff_hz)
-    impulse = np.zeros(2 * half_length + 1)
-    impulse[half_length] = 1.0
-    return low_pass(impulse, cutoff_hz, sample_time)
 
 
 def n_compliances(arm: Arm) -> int:

@@ -13,23 +13,30 @@ from strainwave.domain.results.distributions import student_quantile
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import NotIdentifiable
 from strainwave.identification.rigid.equations import (
+    JACKKNIFE_BLOCKS,
     Estimate,
     FurtherTerm,
     MotorShares,
     anti_resonances,
     assemble,
     average_estimates,
-    blocks_of,
     convert_estimate,
     estimate_of,
     slides_both_ways,
 )
-from strainwave.identification.rigid.filtered_record import FilteredRecord, n_compliances, prepare
+from strainwave.identification.rigid.filtered_record import (
+    FilteredRecord,
+    count_rows,
+    n_compliances,
+    prepare,
+)
 from strainwave.numerics import least_squares as ls
 
 MAX_ITERATIONS = 20
 # change in standard deviations for white errors, which are smaller than those of the jackknife
 _TOLERANCE = 0.02
+# change of the logarithm of square roots of weights below which they are not estimated again
+_WEIGHT_TOLERANCE = 0.02
 # share of the torque above which a fit is uncertain; 1e-4 to 1e-3 with enough motion in the band
 _MAX_UNCERTAIN_TORQUE_SHARE = 0.003
 # minimum rows of one joint per block: half a period of the cut-off, the correlation time of errors
@@ -103,7 +110,8 @@ class Trial:
 
         The standard deviations of the jackknife are unreliable then.
         """
-        return _has_short_blocks(self.arm, self.stretches)
+        n_rows = _MIN_ROWS_PER_BLOCK * self.n_blocks * self.arm.n_joints
+        return len(self.equations.target) < n_rows
 
     @property
     def max_rigid_bandwidth(self) -> float:
@@ -146,11 +154,6 @@ class Trial:
         return errors
 
 
-def _has_short_blocks(arm: Arm, stretches: Sequence[FilteredRecord]) -> bool:
-    n_rows = sum(len(s.row) for s in stretches)
-    return n_rows < _MIN_ROWS_PER_BLOCK * sum(blocks_of(stretches)) * arm.n_joints
-
-
 def fit_trial(
     arm: Arm,
     stretches: tuple[FilteredRecord, ...],
@@ -159,40 +162,12 @@ def fit_trial(
     candidates: Sequence[FurtherTerm] = (),
     weights: FloatArray | None = None,
 ) -> Trial:
-    """Fit at one bandwidth: iterate parameters, compliances and weights to convergence.
-
-    `weights` (n_rows,) are square roots of weights to start from, if the rows are the same.
-    """
-    shares = shares or MotorShares.usual(arm)
-    equations = assemble(arm, stretches, start, candidates)
-    if not len(equations.target):
-        raise NotIdentifiable("every sample is at an edge or in saturation; record for longer")
-    root = ls.initial_weights(equations.target, equations.group)
-    if weights is not None and weights.shape == root.shape:
-        root = weights
-    last_step = np.zeros(len(arm.rigid_columns))
-    for iteration in range(MAX_ITERATIONS):
-        factor = ls.factorise(equations, root)
-        previous = factor.value if start is None else start.solution
-        change = factor.value - previous
-        change_size = np.abs(change)
-        known = factor.deviation > 0.0  # other parameters do not change
-        step = np.divide(change, factor.deviation, out=np.zeros_like(change), where=known)
-        has_converged = iteration > 1 and np.all(change_size <= _TOLERANCE * factor.deviation)
-        estimate = estimate_of(arm, stretches, equations, factor, shares)
-        if start is not None and step @ last_step < 0.0 and not has_converged:  # oscillates
-            estimate = average_estimates(start, estimate)
-        start, last_step = estimate, step
-        if has_converged:
-            break
-        root = ls.root_weights(equations, factor)
-        equations = assemble(arm, stretches, start, candidates, equations)
+    """Fit at one bandwidth, with the covariance. See `solve` for the arguments."""
+    end = solve(arm, stretches, start, shares, candidates, weights)
+    equations, factor, weighed = end.equations, end.factor, end.weighed
     covariance, common_variance = ls.jackknife(equations, factor)
-    assert start is not None
-    change, variance, weighed = _weights_of_links(arm, stretches, factor, start.solution)
     if weighed:
-        start = replace(start, solution=start.solution + change)
-        covariance = covariance + variance
+        covariance = covariance + end.weight_covariance
     resolved = replace(factor, is_resolved=factor.is_resolved | bool(weighed))
     identified = ls.determined(equations, resolved, covariance)
     # the apparent information on dry friction of a joint that never slides in both directions comes
@@ -205,16 +180,76 @@ def fit_trial(
     return Trial(
         arm=arm,
         stretches=stretches,
-        estimate=start,
+        estimate=end.estimate,
         common_deviation=np.sqrt(common_variance),
         equations=equations,
         factor=factor,
         covariance=covariance,
         determined=identified,
         candidates=tuple(candidates),
-        last_move=float(np.max((change_size / standard_deviations)[identified], initial=0.0)),
+        last_move=float(np.max((end.last_change / standard_deviations)[identified], initial=0.0)),
         weighed=weighed,
     )
+
+
+@dataclass(frozen=True, slots=True)
+class Iterate:
+    """End of the iterations of a fit."""
+
+    estimate: Estimate
+    equations: ls.Equations
+    factor: ls.Factor
+    last_change: FloatArray  # (n_parameters,) sizes
+    weighed: tuple[int, ...]  # as in `Trial`
+    weight_covariance: FloatArray  # of the weights of links, if any is assumed
+
+
+def solve(
+    arm: Arm,
+    stretches: tuple[FilteredRecord, ...],
+    start: Estimate | None,
+    shares: MotorShares | None = None,
+    candidates: Sequence[FurtherTerm] = (),
+    weights: FloatArray | None = None,
+) -> Iterate:
+    """Iterate parameters, compliances and weights at one bandwidth to convergence.
+
+    `weights` (n_rows,) are square roots of weights to start from, if the rows are the same. The
+    weights are estimated twice per linearisation, which costs more than they.
+    """
+    shares = shares or MotorShares.usual(arm)
+    equations = assemble(arm, stretches, start, candidates)
+    if not len(equations.target):
+        raise NotIdentifiable("every sample is at an edge or in saturation; record for longer")
+    root = ls.initial_weights(equations.target, equations.group)
+    if weights is not None and weights.shape == root.shape:
+        root = weights
+    last_step = np.zeros(len(arm.rigid_columns))
+    for iteration in range(MAX_ITERATIONS):
+        factor = ls.factorise(equations, root)
+        next_root = ls.root_weights(equations, factor)
+        if np.max(np.abs(np.log(next_root / root))) > _WEIGHT_TOLERANCE:
+            factor = ls.factorise(equations, next_root)
+            next_root = ls.root_weights(equations, factor)
+        root = next_root
+        previous = factor.value if start is None else start.solution
+        change = factor.value - previous
+        change_size = np.abs(change)
+        known = factor.deviation > 0.0  # other parameters do not change
+        step = np.divide(change, factor.deviation, out=np.zeros_like(change), where=known)
+        has_converged = iteration > 1 and np.all(change_size <= _TOLERANCE * factor.deviation)
+        estimate = estimate_of(arm, stretches, equations, factor, shares)
+        if start is not None and step @ last_step < 0.0 and not has_converged:  # oscillates
+            estimate = average_estimates(start, estimate)
+        start, last_step = estimate, step
+        if has_converged:
+            break
+        equations = assemble(arm, stretches, start, candidates, equations)
+    assert start is not None
+    change, covariance, weighed = _weights_of_links(arm, stretches, factor, start.solution)
+    if weighed:
+        start = replace(start, solution=start.solution + change)
+    return Iterate(start, equations, factor, change_size, weighed, covariance)
 
 
 def _weights_of_links(
@@ -254,26 +289,21 @@ Motion = tuple[Signals, float]
 def search_bandwidths(motions: Sequence[Motion], arm: Arm) -> list[Trial]:
     """Fit at increasing bandwidths while the estimates improve and the gears are nearly rigid.
 
-    The first one has blocks of sufficient length, if any has. Neighbours of the best below it
-    start from its estimate, because short blocks do not determine a start.
+    The first one has rows for blocks of sufficient length, if any has. Neighbours of the best
+    below it start from its estimate, because short blocks do not determine a start.
     """
     is_rigid = n_compliances(arm) == 0
     bandwidths = list(bandwidths_of(motions, _BANDWIDTH_RATIO ** (2 if is_rigid else 1)))
-    short: list[tuple[FilteredRecord, ...]] = []
-    for bandwidth in bandwidths:
-        short.append(prepare_all(arm, motions, bandwidth))
-        if not _has_short_blocks(arm, short[-1]):
-            break
-    else:
-        short.clear()
-    prepared, below = short[-1:], short[-2::-1]
+    n_rows = [sum(count_rows(arm, s, each) for s, _ in motions) for each in bandwidths]
+    n_least = _MIN_ROWS_PER_BLOCK * JACKKNIFE_BLOCKS
+    first = next((k for k, count in enumerate(n_rows) if count >= n_least), 0)
     trials: list[Trial] = []
     least_spread, n_without_gain = np.full(len(arm.rigid_columns), np.inf), 0
-    for bandwidth in bandwidths[len(below) :]:
+    for bandwidth in bandwidths[first:]:
         limits = [trial.max_rigid_bandwidth for trial in trials[-2:]]
         if len(limits) > 1 and bandwidth > max(limits):  # a single trial may be unreliable
             break
-        stretches = prepared.pop() if prepared else prepare_all(arm, motions, bandwidth)
+        stretches = prepare_all(arm, motions, bandwidth)
         trial = _fit_next(arm, stretches, trials[-1] if trials else None)
         trials.append(trial)
         has_improved = bool(np.any(trial.spread < least_spread - _MIN_LOG_GAIN))
@@ -282,8 +312,9 @@ def search_bandwidths(motions: Sequence[Motion], arm: Arm) -> list[Trial]:
         if n_without_gain >= _MAX_BANDWIDTHS_WITHOUT_GAIN:
             break
     best = select_bandwidth(trials)
-    for stretches in below:
-        if _is_near(stretches[0].bandwidth_hz, best):
+    for bandwidth in reversed(bandwidths[:first]):
+        if _is_near(bandwidth, best):
+            stretches = prepare_all(arm, motions, bandwidth)
             trials.insert(0, _fit_next(arm, stretches, trials[0]))
     return trials
 
