@@ -13,13 +13,13 @@ __all__ = [
     "Innovations",
     "InnovationsFit",
     "LoadStream",
-    "eliminate",
     "gear_laws",
     "gramian",
     "hankel_gram",
     "innovations_gain",
     "joint_effects",
     "parameter_table",
+    "reduce",
     "residual_products_without_blocks",
     "symmetric_filter",
     "triangular_factor",
@@ -216,18 +216,27 @@ class Arm:
     ) -> NDArray[np.float64]:
         """Centrifugal, Coriolis and gravity torques c + g of (2): (n_samples, n_joints)."""
 
-def eliminate(
-    first: NDArray[np.int64],
-    entries: NDArray[np.float64],
-    unknowns: int,
-    right: NDArray[np.float64],
-    leverage: bool,
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """G^-1 Z' Y, Y - Z G^-1 Z' Y and the diagonal of Z G^-1 Z', with G = Z'Z + I.
+def reduce(
+    table: NDArray[np.float64],
+    root: NDArray[np.float64],
+    n_common: int,
+    n_parameters: int,
+    parts: Sequence[tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64], int]],
+    stds: NDArray[np.float64],
+) -> tuple[
+    NDArray[np.float64],
+    NDArray[np.float64],
+    NDArray[np.float64],
+    NDArray[np.float64],
+    NDArray[np.float64],
+]:
+    """Fields of `ReducedRows` for a table (n_rows, n_columns) whose rows are multiplied by `root`.
 
-    A row of Z has its entries side by side, beginning at unknown `first`. Without `leverage` the
-    last is empty. Linear in the rows where the windows follow one another. The GIL is released.
-    Raises ValueError for sizes that do not fit and entries that are not finite.
+    Its columns are those of common unknowns with unit variance, of parameters, and of targets.
+    Each part has rows of the table, the first unknown of each row, the entries of the row side by
+    side, and the number of unknowns; `stds` are those of all parts. Linear in the rows where the
+    windows follow one another. The GIL is released. Raises ValueError for sizes that do not fit
+    and entries that are not finite.
     """
 
 def residual_products_without_blocks(

@@ -98,8 +98,7 @@ def factorise(equations: Equations, root: FloatArray) -> Factor:
     `root` (n_rows,): Square roots of the weights.
     """
     rows, n = rows_of(equations, root, equations.target[:, None]), equations.common.shape[1]
-    Q, R = _triangularise(rows, n)
-    scale, stop = rows.scale, n + len(rows.scale)
+    R, scale, stop = rows.factor, rows.scale, n + len(rows.scale)
     U, s, Vt = singular_values(R[n:stop, n:stop])
     noise = np.sqrt(Vt**2 @ (equations.noise * np.linalg.norm(root) / scale) ** 2)
     is_identifiable = s > np.maximum(_MIN_SINGULAR_VALUE_TO_NOISE * noise, 1e-10 * s[0])
@@ -117,7 +116,7 @@ def factorise(equations: Equations, root: FloatArray) -> Factor:
         singular=s,
         directions=Vt,
         is_resolved=is_identifiable,
-        leverage=np.sum(Q[: len(root), :stop] ** 2, axis=1) + rows.leverage,
+        leverage=rows.leverage,
         residual=(rows.own[:, -1] - rows.own[:, :-1] @ shared) / root,
     )
 
@@ -127,10 +126,8 @@ def moves(equations: Equations, factor: Factor, changes: FloatArray) -> FloatArr
 
     `changes` (n_rows, n_changes). Returns (n_parameters, n_changes).
     """
-    rows = rows_of(equations, factor.root, changes, leverage=False)
-    n = equations.common.shape[1]
-    parameters = slice(n, n + len(rows.scale))
-    _, R = _triangularise(rows, n)
+    rows, n = rows_of(equations, factor.root, changes), equations.common.shape[1]
+    R, parameters = rows.factor, slice(n, n + len(rows.scale))
     basis = factor.directions[factor.is_resolved].T
     # R'R = V s^2 V', so R^-1 = V s^-2 V' R'
     inverse = basis / factor.singular[factor.is_resolved] ** 2 @ basis.T
@@ -150,35 +147,27 @@ class ReducedRows:
     scale: FloatArray  # (n_parameters,) norms of the weighted columns
     own: FloatArray  # (n_rows, n_columns)
     below: FloatArray  # (n_local, n_columns) regression of each column on the local regressors
-    leverage: FloatArray  # (n_rows,) of the local parameters
+    leverage: FloatArray  # (n_rows,) diagonal of the hat matrix of all unknowns
+    # (n_columns, n_columns) of their QR decomposition with the priors of the common parameters
+    factor: FloatArray
 
 
-def rows_of(
-    equations: Equations, root: FloatArray, targets: FloatArray, *, leverage: bool = True
+def rows_of(equations: Equations, root: FloatArray, targets: FloatArray) -> ReducedRows:
+    """Eliminate the local parameters part by part, and factorise the remaining rows."""
+    common = equations.common * equations.common_deviation
+    table = np.concatenate([common, equations.shared, targets], axis=1)
+    return _reduced(equations, root, table, (common.shape[1], equations.shared.shape[1]))
+
+
+def _reduced(
+    equations: Equations, root: FloatArray, table: FloatArray, sizes: tuple[int, int]
 ) -> ReducedRows:
-    """Eliminate the local parameters part by part."""
-    X = equations.shared * root[:, None]
-    scale = np.linalg.norm(X, axis=0)
-    scale[scale == 0.0] = 1.0
-    common = equations.common * root[:, None] * equations.common_deviation
-    columns = np.column_stack([common, X / scale, targets * root[:, None]])
-    local_leverage = np.zeros(len(root))
-    local_coefficients: list[FloatArray] = [np.zeros((0, columns.shape[1]))]
-    for part, Z in _weighted_parts(equations, root):
-        coefficients, columns[part.rows], of_part = _eliminate(
-            Z, columns[part.rows], leverage=leverage
-        )
-        local_coefficients.append(coefficients)
-        if leverage:
-            local_leverage[part.rows] = of_part
-    return ReducedRows(scale, columns, np.concatenate(local_coefficients), local_leverage)
-
-
-def _triangularise(rows: ReducedRows, n_common: int) -> tuple[FloatArray, FloatArray]:
-    """QR decomposition of reduced rows with the priors of the common nuisance parameters."""
-    priors = np.eye(n_common, rows.own.shape[1])
-    Q, R = np.linalg.qr(np.vstack([rows.own, -rows.below, priors]))
-    return Q, R
+    """Eliminate the local parameters of rows with other columns, the first ones of given numbers."""
+    parts = [
+        (part.rows, part.columns.first, part.columns.entries, part.columns.n_columns)
+        for part in equations.local
+    ]
+    return ReducedRows(*_core.reduce(table, root, *sizes, parts, equations.local_deviation))
 
 
 def rows_of_local(equations: Equations) -> IntArray:
@@ -188,20 +177,6 @@ def rows_of_local(equations: Equations) -> IntArray:
         first = np.searchsorted(part.columns.first, np.arange(part.columns.n_columns))
         rows.append(part.rows[np.minimum(first, len(part.rows) - 1)])
     return np.concatenate(rows) if rows else np.zeros(0, dtype=np.int64)
-
-
-def _eliminate(
-    Z: Banded, right: FloatArray, *, leverage: bool
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Ridge regression of columns on banded regressors Z.
-
-    Returns the coefficients (Z'Z + I)^-1 Z' right, the remainder of the columns, and the leverage
-    (n_rows,), the diagonal of Z (Z'Z + I)^-1 Z'.
-    """
-    if not Z.entries.size:
-        return np.zeros((Z.n_columns, right.shape[1])), right, np.zeros(len(right))
-    right = np.ascontiguousarray(right)
-    return _core.eliminate(Z.first, Z.entries, Z.n_columns, right, leverage)
 
 
 def _parts(equations: Equations) -> Iterator[tuple[Local, slice]]:
@@ -299,8 +274,9 @@ def _normal_equations(
     """
     common = equations.common * equations.common_deviation
     columns = [equations.shared @ back, common, equations.target]
-    rows = np.column_stack(columns) * root[:, None]
-    n = rows.shape[1]
+    table = np.column_stack(columns)
+    below = _reduced(equations, root, table, (0, 0)).below
+    rows, n = table * root[:, None], table.shape[1]
     gram, priors = np.zeros((n, n)), np.zeros((n, n))
     has_no_local = equations.group != PRIOR_GROUP
     labels, block = np.unique(equations.block, return_inverse=True)
@@ -308,10 +284,8 @@ def _normal_equations(
     for part, Z in _weighted_parts(equations, root):
         if not Z.entries.size:
             continue
-        coefficients, _, _ = _eliminate(Z, rows[part.rows], leverage=False)
         part_gram, without = _without_blocks(Z, rows[part.rows], block[part.rows], len(labels))
         gram += part_gram
-        priors += coefficients.T @ coefficients
         block_grams += part_gram - without
         has_no_local[part.rows] = False
     for label in np.unique(block[has_no_local]).tolist():
@@ -319,6 +293,7 @@ def _normal_equations(
         block_grams[label] += block_rows.T @ block_rows
         gram += block_rows.T @ block_rows
     n_own = n - 1 - common.shape[1]
+    priors += below.T @ below
     prior_rows = np.vstack([rows[equations.group == PRIOR_GROUP], np.eye(n)[n_own:-1]])
     gram += prior_rows.T @ prior_rows
     priors += prior_rows.T @ prior_rows
