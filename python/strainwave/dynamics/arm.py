@@ -277,9 +277,9 @@ class Arm(ArmDescription):
         else:
             torques = np.swapaxes(self.motors_of(np.swapaxes(torques, 1, 2)), 1, 2)
         motors = parameters[n_links:]
-        used = np.flatnonzero(motors.any(axis=0))
-        of_motors = self.motor_accelerations(acceleration)[:, :, None] * motors[:, used]
-        torques[:, :, used] += of_motors
+        of_motors = self.motor_accelerations(acceleration)
+        for i, k in np.argwhere(motors).tolist():
+            torques[:, i, k] += of_motors[:, i] * motors[i, k]
         return np.asarray(torques)
 
     def motor_accelerations(self, links: FloatArray) -> FloatArray:

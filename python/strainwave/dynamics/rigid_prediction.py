@@ -101,8 +101,9 @@ def body_regressor(
     """
     phi = arm.rigid_regressor(*links)
     if len(torsion):
-        ahead = arm.motor_accelerations(torsion[2])
-        phi += ahead[:, :, None] * arm.motors_of_rigid(motor_share)
+        ahead, motors = arm.motor_accelerations(torsion[2]), arm.motors_of_rigid(motor_share)
+        for i, k in np.argwhere(motors).tolist():
+            phi[:, i, k] += ahead[:, i] * motors[i, k]
     return phi
 
 

@@ -420,9 +420,9 @@ def _body_equations(
     # motor torque per compliance, -N C^T M_j(q) ddT_j, for the symmetric M: by gear, then by motor
     base = _base(arm, linearised_at) + arm.payload_vector(stretch.signals.experiment.payload)
     lags = arm.motors_of(arm.inertia_matrices(base, angle)) * gears[2][:, :, None]
-    lags += gears[1][:, :, None] * (
-        arm.transmission * _link_viscous_friction(arm, linearised_at)[:, None]
-    )
+    viscous = arm.transmission * _link_viscous_friction(arm, linearised_at)[:, None]
+    if viscous.any():
+        lags += gears[1][:, :, None] * viscous
     columns[:, :, n_body:-1] = -np.swapaxes(lags, 1, 2)
     columns[:, :, -1] = torsion[1]
     columns = stretch.filtered(columns)

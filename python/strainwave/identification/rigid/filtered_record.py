@@ -189,7 +189,9 @@ def prepare(arm: Arm, signals: Signals, bandwidth_hz: float, period: float) -> F
         signals.motor_torque,
         signals.direction,
     ]
-    filtered = motion_of(np.concatenate(channels, axis=1), bandwidth_hz, T)
+    joined = np.empty((n_samples, len(channels) * n_joints))
+    np.concatenate([x.T for x in channels], out=joined.T)  # column by column, which is faster
+    filtered = motion_of(joined, bandwidth_hz, T)
     angle, velocity, acceleration, torque, direction = (
         np.ascontiguousarray(x) for x in np.split(filtered, len(channels), axis=1)
     )
@@ -219,7 +221,7 @@ def prepare(arm: Arm, signals: Signals, bandwidth_hz: float, period: float) -> F
         noise=_column_noise(arm, signals, bandwidth_hz),
         period=period,
         sliding_time=period * T * float(np.mean(signals.direction != 0.0)),
-        slides=np.array([signals.direction.max(axis=0) > 0.0, signals.direction.min(axis=0) < 0.0]),
+        slides=np.array([[x.max() > 0.0, x.min() < 0.0] for x in signals.direction.T]).T,
     )
     if elastic:
         return stretch

@@ -35,8 +35,9 @@ from strainwave.numerics import least_squares as ls
 MAX_ITERATIONS = 20
 # change in standard deviations for white errors, which are smaller than those of the jackknife
 _TOLERANCE = 0.02
-# change of the logarithm of square roots of weights below which they are not estimated again
-_WEIGHT_TOLERANCE = 0.02
+# Change of the logarithm of square roots of weights above which they are estimated again with the
+# same equations, which costs less than another linearisation.
+_WEIGHT_TOLERANCE = 0.01
 # share of the torque above which a fit is uncertain; 1e-4 to 1e-3 with enough motion in the band
 _MAX_UNCERTAIN_TORQUE_SHARE = 0.003
 # minimum rows of one joint per block: half a period of the cut-off, the correlation time of errors
@@ -214,8 +215,7 @@ def solve(
 ) -> Iterate:
     """Iterate parameters, compliances and weights at one bandwidth to convergence.
 
-    `weights` (n_rows,) are square roots of weights to start from, if the rows are the same. The
-    weights are estimated twice per linearisation, which costs more than they.
+    `weights` (n_rows,) are square roots of weights to start from, if the rows are the same.
     """
     shares = shares or MotorShares.usual(arm)
     equations = assemble(arm, stretches, start, candidates)
@@ -227,11 +227,11 @@ def solve(
     last_step = np.zeros(len(arm.rigid_columns))
     for iteration in range(MAX_ITERATIONS):
         factor = ls.factorise(equations, root)
-        next_root = ls.root_weights(equations, factor)
-        if np.max(np.abs(np.log(next_root / root))) > _WEIGHT_TOLERANCE:
-            factor = ls.factorise(equations, next_root)
-            next_root = ls.root_weights(equations, factor)
-        root = next_root
+        root = ls.root_weights(equations, factor)
+        if np.max(np.abs(np.log(root / factor.root))) > _WEIGHT_TOLERANCE:
+            factor = ls.factorise(equations, root)
+            # the mean, because weights may alternate between two values
+            root = np.sqrt(root * ls.root_weights(equations, factor))
         previous = factor.value if start is None else start.solution
         change = factor.value - previous
         change_size = np.abs(change)
