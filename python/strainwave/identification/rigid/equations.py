@@ -363,14 +363,14 @@ def estimate_of(
     return Estimate(factor.value, compliance, tuple(stiction_torque), shares)
 
 
-def average_estimates(one: Estimate, other: Estimate) -> Estimate:
-    """Mean of two estimates of the same records, with the motor shares of `other`."""
+def mix_estimates(one: Estimate, other: Estimate, share: float) -> Estimate:
+    """Mean of two estimates of the same records, the other with a share and with its motor shares."""
+    rest = 1.0 - share
+    pairs = zip(one.stiction_torque, other.stiction_torque, strict=True)
     return Estimate(
-        0.5 * (one.solution + other.solution),
-        0.5 * (one.compliance + other.compliance),
-        tuple(
-            0.5 * (a + b) for a, b in zip(one.stiction_torque, other.stiction_torque, strict=True)
-        ),
+        rest * one.solution + share * other.solution,
+        rest * one.compliance + share * other.compliance,
+        tuple(rest * a + share * b for a, b in pairs),
         other.shares,
     )
 

@@ -19,7 +19,7 @@ from strainwave.identification.rigid.equations import (
     MotorShares,
     anti_resonances,
     assemble,
-    average_estimates,
+    mix_estimates,
     convert_estimate,
     estimate_of,
     slides_both_ways,
@@ -35,6 +35,7 @@ from strainwave.numerics import least_squares as ls
 MAX_ITERATIONS = 20
 # change in standard deviations for white errors, which are smaller than those of the jackknife
 _TOLERANCE = 0.02
+_MIN_STEP_SHARE = 0.3  # smallest share of a step that an iteration takes
 # Change of the logarithm of square roots of weights above which they are estimated again with the
 # same equations, which costs less than another linearisation.
 _WEIGHT_TOLERANCE = 0.01
@@ -215,6 +216,9 @@ def solve(
 ) -> Iterate:
     """Iterate parameters, compliances and weights at one bandwidth to convergence.
 
+    The share of each step is that of Aitken's relaxation (Irons and Tuck, International Journal for
+    Numerical Methods in Engineering 1, 1969).
+
     `weights` (n_rows,) are square roots of weights to start from, if the rows are the same.
     """
     shares = shares or MotorShares.usual(arm)
@@ -224,7 +228,7 @@ def solve(
     root = ls.initial_weights(equations.target, equations.group)
     if weights is not None and weights.shape == root.shape:
         root = weights
-    last_step = np.zeros(len(arm.rigid_columns))
+    last_step, share = np.zeros(len(arm.rigid_columns)), 1.0
     for iteration in range(MAX_ITERATIONS):
         factor = ls.factorise(equations, root)
         root = ls.root_weights(equations, factor)
@@ -239,8 +243,12 @@ def solve(
         step = np.divide(change, factor.deviation, out=np.zeros_like(change), where=known)
         has_converged = iteration > 1 and np.all(change_size <= _TOLERANCE * factor.deviation)
         estimate = estimate_of(arm, stretches, equations, factor, shares)
-        if start is not None and step @ last_step < 0.0 and not has_converged:  # oscillates
-            estimate = average_estimates(start, estimate)
+        if last_step.any():  # full steps of some records oscillate
+            decrease = last_step - step
+            share *= float(last_step @ decrease) / max(float(decrease @ decrease), 1e-300)
+            share = min(max(share, _MIN_STEP_SHARE), 1.0)
+        if start is not None and not has_converged:
+            estimate = mix_estimates(start, estimate, share)
         start, last_step = estimate, step
         if has_converged:
             break
