@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
@@ -208,21 +209,22 @@ def root_weights(equations: Equations, factor: Factor) -> FloatArray:
 
     with the leverage h.
     """
-    residual, residual_share = factor.residual, 1.0 - factor.leverage
-    root = np.ones_like(residual)
-    for g in np.unique(equations.group[equations.group != PRIOR_GROUP]):
+    root, sizes = np.ones_like(factor.residual), np.abs(factor.residual)
+    shares = np.maximum(1.0 - factor.leverage, _MIN_RESIDUAL_SHARE)
+    corrected, is_informative = sizes / np.sqrt(shares), shares > _MIN_RESIDUAL_SHARE
+    for g in np.unique(equations.group).tolist():
+        if g == PRIOR_GROUP:
+            continue
         rows = equations.group == g
-        informative = rows & (residual_share > _MIN_RESIDUAL_SHARE)
-        informative = informative if informative.any() else rows
-        shares = np.maximum(residual_share[informative], _MIN_RESIDUAL_SHARE)
-        size = np.abs(residual[informative]) / np.sqrt(shares)
+        informative = corrected[rows & is_informative]
+        ordered = np.sort(informative if len(informative) else corrected[rows])
+        median = 0.5 * float(ordered[(len(ordered) - 1) // 2] + ordered[len(ordered) // 2])
         # for an exact model, the residuals are rounding errors: keep the weights finite
-        rms = float(np.sqrt(np.mean(equations.target[rows] ** 2)))
-        size.sort()
-        median = 0.5 * float(size[(len(size) - 1) // 2] + size[len(size) // 2])
+        target = equations.target[rows]
+        rms = math.sqrt(target @ target / len(target))
         std = max(STD_PER_MEDIAN * median, 1e-6 * rms, 1e-300)
-        normalised = np.abs(residual[rows]) / std
-        root[rows] = np.sqrt(HUBER_LIMIT_STDS / np.maximum(normalised, HUBER_LIMIT_STDS)) / std
+        limit = HUBER_LIMIT_STDS * std
+        root[rows] = np.sqrt(limit / np.maximum(sizes[rows], limit)) / std
     return root
 
 

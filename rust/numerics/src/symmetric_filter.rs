@@ -67,7 +67,7 @@ fn filter_with<const FUSED: bool>(
     for (k, target) in result.chunks_exact_mut(run.max(1)).enumerate() {
         let at = (first + k * step) * columns;
         let mut done = 0;
-        for (width, least) in [(16, 13), (12, 9), (8, 5), (4, 3), (2, 2), (1, 1)] {
+        for (width, least) in [(16, 9), (8, 5), (4, 3), (2, 2), (1, 1)] {
             // more numbers than needed cost nothing
             let beyond = at + (response.len() - 1) * columns + width;
             while target.len() - done >= least && done + beyond <= signal.len() {
@@ -75,7 +75,6 @@ fn filter_with<const FUSED: bool>(
                 let target = &mut target[done..];
                 done += match width {
                     16 => sums::<FUSED, 16>(place, target),
-                    12 => sums::<FUSED, 12>(place, target),
                     8 => sums::<FUSED, 8>(place, target),
                     4 => sums::<FUSED, 4>(place, target),
                     2 => sums::<FUSED, 2>(place, target),

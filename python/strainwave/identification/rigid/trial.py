@@ -239,9 +239,9 @@ def solve(
         previous = factor.value if start is None else start.solution
         change = factor.value - previous
         change_size = np.abs(change)
-        known = factor.deviation > 0.0  # other parameters do not change
-        step = np.divide(change, factor.deviation, out=np.zeros_like(change), where=known)
-        has_converged = iteration > 1 and np.all(change_size <= _TOLERANCE * factor.deviation)
+        deviation = factor.deviation  # zero for parameters that do not change
+        step = np.divide(change, deviation, out=np.zeros_like(change), where=deviation > 0.0)
+        has_converged = iteration > 1 and np.all(change_size <= _TOLERANCE * deviation)
         estimate = estimate_of(arm, stretches, equations, factor, shares)
         if last_step.any():  # full steps of some records oscillate
             decrease = last_step - step
