@@ -13,14 +13,15 @@ __all__ = [
     "Innovations",
     "InnovationsFit",
     "LoadStream",
-    "eliminate",
     "gear_laws",
     "gramian",
     "hankel_gram",
     "innovations_gain",
     "joint_effects",
     "parameter_table",
+    "reduce",
     "residual_products_without_blocks",
+    "symmetric_filter",
     "triangular_factor",
     "weighted_factor",
 ]
@@ -207,9 +208,9 @@ class Arm:
     ) -> NDArray[np.float64]:
         """Motor torques of a links' motion behind rigid gears, (5): (n_samples, n_joints)."""
     def inertia_matrix(
-        self, parameters: NDArray[np.float64], angle: NDArray[np.float64]
+        self, base: NDArray[np.float64], angle: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """M_L(q) of (2) at each posture: (n_samples, n_joints, n_joints)."""
+        """M_L(q) of (2) for base parameters at each posture: (n_samples, n_joints, n_joints)."""
     def bias_torques(
         self,
         parameters: NDArray[np.float64],
@@ -218,18 +219,27 @@ class Arm:
     ) -> NDArray[np.float64]:
         """Centrifugal, Coriolis and gravity torques c + g of (2): (n_samples, n_joints)."""
 
-def eliminate(
-    first: NDArray[np.int64],
-    entries: NDArray[np.float64],
-    unknowns: int,
-    right: NDArray[np.float64],
-    leverage: bool,
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """G^-1 Z' Y, Y - Z G^-1 Z' Y and the diagonal of Z G^-1 Z', with G = Z'Z + I.
+def reduce(
+    table: NDArray[np.float64],
+    root: NDArray[np.float64],
+    n_common: int,
+    n_parameters: int,
+    parts: Sequence[tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64], int]],
+    stds: NDArray[np.float64],
+) -> tuple[
+    NDArray[np.float64],
+    NDArray[np.float64],
+    NDArray[np.float64],
+    NDArray[np.float64],
+    NDArray[np.float64],
+]:
+    """Fields of `ReducedRows` for a table (n_rows, n_columns) whose rows are multiplied by `root`.
 
-    A row of Z has its entries side by side, beginning at unknown `first`. Without `leverage` the
-    last is empty. Linear in the rows where the windows follow one another. The GIL is released.
-    Raises ValueError for sizes that do not fit and entries that are not finite.
+    Its columns are those of common unknowns with unit variance, of parameters, and of targets.
+    Each part has rows of the table, the first unknown of each row, the entries of the row side by
+    side, and the number of unknowns; `stds` are those of all parts. Linear in the rows where the
+    windows follow one another. The GIL is released. Raises ValueError for sizes that do not fit
+    and entries that are not finite.
     """
 
 def residual_products_without_blocks(
@@ -243,6 +253,19 @@ def residual_products_without_blocks(
 
     Y, Z and G = Z'Z + I lack the block's rows. The GIL is released. Raises ValueError for stops
     that do not rise within the rows, sizes that do not fit and entries that are not finite.
+    """
+
+def symmetric_filter(
+    signal: NDArray[np.float64],
+    response: NDArray[np.float64],
+    first: int,
+    step: int,
+    count: int,
+) -> NDArray[np.float64]:
+    """Samples (count, n_columns) of a signal (n_samples, n_columns) after a symmetric filter.
+
+    `response` (n,) is the impulse response at the impulse and at later samples. The GIL is
+    released. Raises ValueError for a signal that ends within the response of a sample.
     """
 
 def triangular_factor(table: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -71,13 +71,16 @@ def test_rigid_torque_does_not_depend_on_the_motor_share(name: str) -> None:
         np.testing.assert_allclose(n * links + motors * acceleration / n, expected, rtol=1e-10)
 
 
-def test_torques_of_accelerations_match_the_inertia_matrix() -> None:
-    angle, _, acceleration = motion(TWO)
+def test_inertia_matrices_give_the_torques_of_accelerations() -> None:
+    angle, velocity, acceleration = motion(TWO)
     base = TWO.links_of_rigid() @ rigid_values(TWO)
-    torque = TWO.torques_of_accelerations(base, angle, acceleration)
-    M = np.stack([TWO.inertia_matrix(base, at) for at in angle])
-    np.testing.assert_allclose(torque, M * acceleration[:, None, :], rtol=1e-9, atol=1e-12)
+    M = TWO.inertia_matrices(base, angle)
+    at_rest = TWO.link_torques(base, angle, velocity, np.zeros_like(acceleration))
+    torque = TWO.link_torques(base, angle, velocity, acceleration) - at_rest
+    expected = np.einsum("kij,kj->ki", M, acceleration)
+    np.testing.assert_allclose(torque, expected, rtol=1e-9, atol=1e-12)
     np.testing.assert_allclose(M, np.transpose(M, (0, 2, 1)), rtol=1e-12)
+    np.testing.assert_array_equal(M[0], TWO.inertia_matrix(base, angle[0]))
 
 
 def test_link_inertias_are_the_diagonal_of_the_stretched_inertia_matrix() -> None:

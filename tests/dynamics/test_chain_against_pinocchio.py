@@ -50,7 +50,7 @@ def test_dynamics_and_link_motion(types: str) -> None:
     parameters = np.concatenate([base, MOTOR * n])
     q, dq, ddq = rng.uniform(-2.0, 2.0, (3, SAMPLES, n))
     regressor = arm.base_regressor(q, dq, ddq)
-    inertia, bias = arm.inertia_matrix(parameters, q), arm.bias_torques(parameters, q, dq)
+    inertia, bias = arm.inertia_matrix(base, q), arm.bias_torques(parameters, q, dq)
     motion = arm.link_motion(q, dq, ddq)
     data = model.createData()
     for k in range(SAMPLES):

@@ -94,7 +94,7 @@ def test_dynamics_match_mujoco(types: str) -> None:
         mujoco.mj_inverse(model, data)
         torque[k], bias[k] = data.qfrc_inverse, data.qfrc_bias
         mujoco.mj_fullM(model, data, inertia[k])
-    assert_close(arm.inertia_matrix(parameters, q), inertia)
+    assert_close(arm.inertia_matrix(base, q), inertia)
     assert_close(arm.bias_torques(parameters, q, dq), bias)
     assert_close(arm.bias_torques(parameters, q, 0 * dq), gravity)
     regressor = arm.base_regressor(q, dq, ddq)
@@ -260,4 +260,4 @@ def test_invalid_chains_are_rejected() -> None:
         values = [*body]
         values[place] = value
         with pytest.raises(ValueError, match=message):
-            chain([joint]).inertia_matrix(np.array(values + MOTOR), still)
+            chain([joint]).bias_torques(np.array(values + MOTOR), still, still)

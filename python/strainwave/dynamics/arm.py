@@ -112,7 +112,11 @@ class Arm(ArmDescription):
 
     def joints_of(self, torques: FloatArray) -> FloatArray:
         """Joint torques that motor torques balance, the inverse of `motors_of`: (..., n_joints)."""
-        return np.asarray(torques @ np.linalg.inv(self.transmission))
+        return np.asarray(torques @ self._inverse_transmission)
+
+    @cached_property
+    def _inverse_transmission(self) -> FloatArray:
+        return np.linalg.inv(self.transmission)
 
     @cached_property
     def torque_per_volt(self) -> FloatArray:
@@ -267,19 +271,22 @@ class Arm(ArmDescription):
         regressor = self.base_regressor(angle, velocity, acceleration)
         # one product of matrices, which is faster than one per sample
         of_links = regressor.reshape(-1, n_links) @ parameters[:n_links]
-        of_links = of_links.reshape(len(regressor), self.n_joints, -1)
-        torques = np.swapaxes(self.motors_of(np.swapaxes(of_links, 1, 2)), 1, 2)
+        torques = of_links.reshape(len(regressor), self.n_joints, -1)
+        if self.coupling is None:
+            torques *= self.gear_ratios[:, None]
+        else:
+            torques = np.swapaxes(self.motors_of(np.swapaxes(torques, 1, 2)), 1, 2)
         motors = parameters[n_links:]
-        used = np.flatnonzero(motors.any(axis=0))
-        of_motors = self.motor_accelerations(acceleration)[:, :, None] * motors[:, used]
-        torques[:, :, used] += of_motors
+        of_motors = self.motor_accelerations(acceleration)
+        for i, k in np.argwhere(motors).tolist():
+            torques[:, i, k] += of_motors[:, i] * motors[i, k]
         return np.asarray(torques)
 
     def motor_accelerations(self, links: FloatArray) -> FloatArray:
         """Motor motion of a link motion behind rigid gears, (C N)^-1 q: (..., n_joints)."""
         if self.coupling is None:
             return np.asarray(links / self.gear_ratios)
-        return np.asarray(links @ np.linalg.inv(self.transmission).T)
+        return np.asarray(links @ self._inverse_transmission.T)
 
     def link_velocity_limits(self, motors: FloatArray) -> FloatArray:
         """Link speeds [rad/s] up to which no motor exceeds its limit in `motors` (n_joints,)."""
@@ -301,36 +308,12 @@ class Arm(ArmDescription):
         return self.base.particular(motor_share)[len(self.base.links) :]
 
     def inertia_matrix(self, base: FloatArray, angle: FloatArray) -> FloatArray:
-        """M(q) of the links, (3), from the core's regressor: (n_joints, n_joints) [kg m^2].
+        """M(q) of the links, (3): (n_joints, n_joints) [kg m^2]."""
+        return self.inertia_matrices(base, angle[None])[0]
 
-        Column k is the torque of a unit acceleration of joint k minus gravity.
-        """
-        return np.asarray(self._inertia_matrices(base, angle[None])[0])
-
-    def _inertia_matrices(self, base: FloatArray, angles: FloatArray) -> FloatArray:
+    def inertia_matrices(self, base: FloatArray, angles: FloatArray) -> FloatArray:
         """M(q) at several link angles (n_postures, n_joints): (n_postures, n_joints, n_joints)."""
-        n = self.n_joints
-        posture, unit = np.repeat(angles, n, axis=0), np.tile(np.eye(n), (len(angles), 1))
-        rest = np.zeros_like(posture)
-        torque = self.link_torques(base, posture, rest, unit)
-        torque -= self.link_torques(base, posture, rest, rest)
-        return np.asarray(torque.reshape(len(angles), n, n).swapaxes(1, 2))
-
-    def torques_of_accelerations(
-        self, base: FloatArray, angle: FloatArray, acceleration: FloatArray
-    ) -> FloatArray:
-        """Torque at every link due to each joint's acceleration alone, M_ij(q) ddq_j.
-
-        Shape (n_samples, n_joints, n_joints) [N m]: by link, then by accelerated joint.
-        """
-        n = self.n_joints
-        accelerations = np.zeros((n + 1, *angle.shape))
-        for j in range(n):
-            accelerations[j + 1, :, j] = acceleration[:, j]
-        moving, angles = accelerations.reshape(-1, n), np.tile(angle, (n + 1, 1))
-        torques = self.link_torques(base, angles, np.zeros_like(angles), moving)
-        gravity, *single = torques.reshape(accelerations.shape)
-        return np.stack([each - gravity for each in single], axis=2)
+        return self.core.inertia_matrix(*_contiguous(base, angles))
 
     def link_inertias(self, base: FloatArray) -> FloatArray:
         """m_L of each joint, the diagonal of M(0): (n_joints,) [kg m^2]."""
@@ -429,7 +412,7 @@ class Arm(ArmDescription):
         torsion = np.hstack([-np.diag(self.is_elastic.astype(float)), outputs])
         output = np.hstack([np.diag((~self.is_elastic).astype(float)), outputs])
         inertia = np.tile(output.T @ of_motors @ output, (len(angles), 1, 1))
-        inertia[:, :n, :n] += self._inertia_matrices(np.array(base), angles)
+        inertia[:, :n, :n] += self.inertia_matrices(np.array(base), angles)
         if (np.linalg.eigvalsh(inertia) <= 0.0).any():
             return None  # an impossible arm: the core reports the fault
         of_gears = ((torsion.T * k) @ torsion for k in (stiffness, damping))

@@ -100,9 +100,10 @@ def body_regressor(
     The rotors accelerate before the gears, whose `torsion` may be measured.
     """
     phi = arm.rigid_regressor(*links)
-    if torsion:
-        ahead = arm.motor_accelerations(torsion[2])
-        phi += ahead[:, :, None] * arm.motors_of_rigid(motor_share)
+    if len(torsion):
+        ahead, motors = arm.motor_accelerations(torsion[2]), arm.motors_of_rigid(motor_share)
+        for i, k in np.argwhere(motors).tolist():
+            phi[:, i, k] += ahead[:, i] * motors[i, k]
     return phi
 
 
@@ -313,13 +314,11 @@ def torque_parts(
     """Parts of the motor torque for a motion of the motors and of the gears."""
     velocity, links = motion[1], link_motion(arm, list(motion), torsion)
     viscous, coulomb, offset = arm.joint_friction(solution).T
-    body = body_regressor(arm, links, torsion) @ solution[: arm.n_body]
-    if payload is not None:
-        body += arm.payload_torques(payload, *links)
+    load = gear_load(arm, solution, links, payload)
+    body = load + arm.motors_of_rigid(MOTOR_SHARE) @ solution[: arm.n_body] * motion[2]
     smooth = viscous * velocity + offset
     if arm.n_shared:
         smooth += arm.shared_friction_regressor(velocity) @ solution[-arm.n_shared :]
-    load = gear_load(arm, solution, links, payload)
     dry = coulomb + additional_friction(friction_terms, velocity, load)
     springs = arm.motors_of(_sizes_of(SPRING, arm, friction_terms) * links[0])
     return TorqueParts(body + springs, smooth, dry)

@@ -325,8 +325,7 @@ def _load_torques(arm: Arm, stretch: FilteredRecord, estimate: Estimate, record:
 
 def _rows(filtered: FloatArray, stretch: FilteredRecord) -> FloatArray:
     """Values (n_rows, n_joints, ...) of one record in the order of the equations."""
-    n_joints = stretch.keep.shape[1]
-    return np.concatenate([filtered[stretch.keep[:, i], i] for i in range(n_joints)])
+    return np.asarray(filtered[stretch.row, stretch.joint])
 
 
 def _friction_of_terms(

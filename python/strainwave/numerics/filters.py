@@ -12,6 +12,7 @@ from typing import Literal
 
 import numpy as np
 
+from strainwave import _core
 from strainwave.domain import ComplexArray, FloatArray, Lag
 from strainwave.numerics.linalg import exponential
 from strainwave.numerics.spectra import cross_spectral_densities
@@ -24,6 +25,11 @@ _MIN_SIGNAL_TO_FLOOR = 4.0
 _MIN_SAMPLES = 32  # shortest record for a spectral estimate, and shortest padding
 # periods of the cut-off frequency after which a transient is below rounding
 _SETTLING_PERIODS = 14.0
+# periods of the cut-off frequency after which the impulse response of the low-pass is below 1e-11
+_RESPONSE_PERIODS = 11.0
+_SUMS_PER_VECTOR = 16  # sums over impulse responses that take the time of one
+# Products of such vectors per number of a signal up to which they take less time than a transform.
+_MAX_VECTORS = 15
 # samples per transform; longer transforms do not fit the processor cache
 _MAX_TRANSFORM_SAMPLES = 1 << 17
 
@@ -42,7 +48,8 @@ def low_pass(
 
     is the squared magnitude of one pass, so the gain at the cut-off is 1/2. The filter multiplies
     the spectrum of the signal, extended at both ends by point reflection. Long signals are filtered
-    in overlapping pieces, which changes the result by rounding errors only.
+    in overlapping pieces, which changes the result by rounding errors only. Few samples of a signal
+    are sums over the impulse response, up to where it is below 1e-11.
 
     `signal` (n_samples, ...).
     `cutoff_hz` [Hz]: From 0.45 of the sampling rate on, the signal is returned unchanged.
@@ -55,7 +62,17 @@ def low_pass(
     relative = cutoff_hz * sample_time
     if relative >= 0.45:
         return signal[kept]
-    n = len(signal)
+    n, indices = len(signal), range(len(signal))[kept]
+    reach = int(_RESPONSE_PERIODS / (relative * decimated))
+    run = signal[0].size * (len(indices) if indices.step == 1 else 1)  # successive sums
+    n_runs = len(indices) * signal[0].size // max(run, 1)
+    n_vectors = n_runs * -(-run // _SUMS_PER_VECTOR)
+    if 0 < reach < n and 0 < n_vectors * reach < _MAX_VECTORS * signal.size:
+        extended = _point_reflected(signal, reach).reshape(n + 2 * reach, -1)
+        response = _half_response(reach, relative, decimated)
+        place = indices.start + reach, indices.step, len(indices)
+        sums = _core.symmetric_filter(np.ascontiguousarray(extended), response, *place)
+        return sums.reshape(-1, *signal.shape[1:])
     margin = int(_SETTLING_PERIODS / (relative * decimated))
     piece = max(_MAX_TRANSFORM_SAMPLES, 8 * margin)
     if n <= 2 * piece:
@@ -78,6 +95,25 @@ def _passed(signal: FloatArray, relative: float, decimated: int) -> FloatArray:
     gain = _gain(fast_length(len(extended)), relative, decimated)
     # the filter does not change a straight line
     return _filter_about_line(extended, gain, slice(pad, pad + n))[0]
+
+
+def impulse_response(reach: int, cutoff_hz: float, sample_time: float) -> FloatArray:
+    """Impulse response of `low_pass` for a signal of `reach` samples on both sides of the impulse.
+
+    Shape (2 reach + 1,). It is zero at both ends, because the impulse is reflected there.
+    """
+    half = _half_response(3 * reach, cutoff_hz * sample_time, 1)
+    at = np.abs(np.arange(-reach, reach + 1))
+    return np.asarray(half[at] - half[2 * reach - at] - half[2 * reach + at])
+
+
+@lru_cache(maxsize=32)
+def _half_response(reach: int, relative: float, decimated: int) -> FloatArray:
+    """Impulse response of the low-pass from the impulse on, (reach + 1,)."""
+    size = fast_length(2 * max(reach, int(_SETTLING_PERIODS / (relative * decimated))))
+    response = np.fft.irfft(_gain(size, relative, decimated), size)[: reach + 1]
+    response.setflags(write=False)
+    return response
 
 
 @lru_cache(maxsize=8)

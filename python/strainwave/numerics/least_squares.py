@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
@@ -98,8 +99,7 @@ def factorise(equations: Equations, root: FloatArray) -> Factor:
     `root` (n_rows,): Square roots of the weights.
     """
     rows, n = rows_of(equations, root, equations.target[:, None]), equations.common.shape[1]
-    Q, R = _triangularise(rows, n)
-    scale, stop = rows.scale, n + len(rows.scale)
+    R, scale, stop = rows.factor, rows.scale, n + len(rows.scale)
     U, s, Vt = singular_values(R[n:stop, n:stop])
     noise = np.sqrt(Vt**2 @ (equations.noise * np.linalg.norm(root) / scale) ** 2)
     is_identifiable = s > np.maximum(_MIN_SINGULAR_VALUE_TO_NOISE * noise, 1e-10 * s[0])
@@ -117,7 +117,7 @@ def factorise(equations: Equations, root: FloatArray) -> Factor:
         singular=s,
         directions=Vt,
         is_resolved=is_identifiable,
-        leverage=np.sum(Q[: len(root), :stop] ** 2, axis=1) + rows.leverage,
+        leverage=rows.leverage,
         residual=(rows.own[:, -1] - rows.own[:, :-1] @ shared) / root,
     )
 
@@ -127,10 +127,8 @@ def moves(equations: Equations, factor: Factor, changes: FloatArray) -> FloatArr
 
     `changes` (n_rows, n_changes). Returns (n_parameters, n_changes).
     """
-    rows = rows_of(equations, factor.root, changes, leverage=False)
-    n = equations.common.shape[1]
-    parameters = slice(n, n + len(rows.scale))
-    _, R = _triangularise(rows, n)
+    rows, n = rows_of(equations, factor.root, changes), equations.common.shape[1]
+    R, parameters = rows.factor, slice(n, n + len(rows.scale))
     basis = factor.directions[factor.is_resolved].T
     # R'R = V s^2 V', so R^-1 = V s^-2 V' R'
     inverse = basis / factor.singular[factor.is_resolved] ** 2 @ basis.T
@@ -150,35 +148,27 @@ class ReducedRows:
     scale: FloatArray  # (n_parameters,) norms of the weighted columns
     own: FloatArray  # (n_rows, n_columns)
     below: FloatArray  # (n_local, n_columns) regression of each column on the local regressors
-    leverage: FloatArray  # (n_rows,) of the local parameters
+    leverage: FloatArray  # (n_rows,) diagonal of the hat matrix of all unknowns
+    # (n_columns, n_columns) of their QR decomposition with the priors of the common parameters
+    factor: FloatArray
 
 
-def rows_of(
-    equations: Equations, root: FloatArray, targets: FloatArray, *, leverage: bool = True
+def rows_of(equations: Equations, root: FloatArray, targets: FloatArray) -> ReducedRows:
+    """Eliminate the local parameters part by part, and factorise the remaining rows."""
+    common = equations.common * equations.common_deviation
+    table = np.concatenate([common, equations.shared, targets], axis=1)
+    return _reduced(equations, root, table, (common.shape[1], equations.shared.shape[1]))
+
+
+def _reduced(
+    equations: Equations, root: FloatArray, table: FloatArray, sizes: tuple[int, int]
 ) -> ReducedRows:
-    """Eliminate the local parameters part by part."""
-    X = equations.shared * root[:, None]
-    scale = np.linalg.norm(X, axis=0)
-    scale[scale == 0.0] = 1.0
-    common = equations.common * root[:, None] * equations.common_deviation
-    columns = np.column_stack([common, X / scale, targets * root[:, None]])
-    local_leverage = np.zeros(len(root))
-    local_coefficients: list[FloatArray] = [np.zeros((0, columns.shape[1]))]
-    for part, Z in _weighted_parts(equations, root):
-        coefficients, columns[part.rows], of_part = _eliminate(
-            Z, columns[part.rows], leverage=leverage
-        )
-        local_coefficients.append(coefficients)
-        if leverage:
-            local_leverage[part.rows] = of_part
-    return ReducedRows(scale, columns, np.concatenate(local_coefficients), local_leverage)
-
-
-def _triangularise(rows: ReducedRows, n_common: int) -> tuple[FloatArray, FloatArray]:
-    """QR decomposition of reduced rows with the priors of the common nuisance parameters."""
-    priors = np.eye(n_common, rows.own.shape[1])
-    Q, R = np.linalg.qr(np.vstack([rows.own, -rows.below, priors]))
-    return Q, R
+    """Eliminate the local parameters of rows with other columns, the first ones of given numbers."""
+    parts = [
+        (part.rows, part.columns.first, part.columns.entries, part.columns.n_columns)
+        for part in equations.local
+    ]
+    return ReducedRows(*_core.reduce(table, root, *sizes, parts, equations.local_deviation))
 
 
 def rows_of_local(equations: Equations) -> IntArray:
@@ -188,20 +178,6 @@ def rows_of_local(equations: Equations) -> IntArray:
         first = np.searchsorted(part.columns.first, np.arange(part.columns.n_columns))
         rows.append(part.rows[np.minimum(first, len(part.rows) - 1)])
     return np.concatenate(rows) if rows else np.zeros(0, dtype=np.int64)
-
-
-def _eliminate(
-    Z: Banded, right: FloatArray, *, leverage: bool
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Ridge regression of columns on banded regressors Z.
-
-    Returns the coefficients (Z'Z + I)^-1 Z' right, the remainder of the columns, and the leverage
-    (n_rows,), the diagonal of Z (Z'Z + I)^-1 Z'.
-    """
-    if not Z.entries.size:
-        return np.zeros((Z.n_columns, right.shape[1])), right, np.zeros(len(right))
-    right = np.ascontiguousarray(right)
-    return _core.eliminate(Z.first, Z.entries, Z.n_columns, right, leverage)
 
 
 def _parts(equations: Equations) -> Iterator[tuple[Local, slice]]:
@@ -233,19 +209,22 @@ def root_weights(equations: Equations, factor: Factor) -> FloatArray:
 
     with the leverage h.
     """
-    residual, residual_share = factor.residual, 1.0 - factor.leverage
-    root = np.ones_like(residual)
-    for g in np.unique(equations.group[equations.group != PRIOR_GROUP]):
+    root, sizes = np.ones_like(factor.residual), np.abs(factor.residual)
+    shares = np.maximum(1.0 - factor.leverage, _MIN_RESIDUAL_SHARE)
+    corrected, is_informative = sizes / np.sqrt(shares), shares > _MIN_RESIDUAL_SHARE
+    for g in np.unique(equations.group).tolist():
+        if g == PRIOR_GROUP:
+            continue
         rows = equations.group == g
-        informative = rows & (residual_share > _MIN_RESIDUAL_SHARE)
-        informative = informative if informative.any() else rows
-        shares = np.maximum(residual_share[informative], _MIN_RESIDUAL_SHARE)
-        size = np.abs(residual[informative]) / np.sqrt(shares)
+        informative = corrected[rows & is_informative]
+        ordered = np.sort(informative if len(informative) else corrected[rows])
+        median = 0.5 * float(ordered[(len(ordered) - 1) // 2] + ordered[len(ordered) // 2])
         # for an exact model, the residuals are rounding errors: keep the weights finite
-        rms = float(np.sqrt(np.mean(equations.target[rows] ** 2)))
-        std = max(STD_PER_MEDIAN * float(np.median(size)), 1e-6 * rms, 1e-300)
-        normalised = np.abs(residual[rows]) / std
-        root[rows] = np.sqrt(HUBER_LIMIT_STDS / np.maximum(normalised, HUBER_LIMIT_STDS)) / std
+        target = equations.target[rows]
+        rms = math.sqrt(target @ target / len(target))
+        std = max(STD_PER_MEDIAN * median, 1e-6 * rms, 1e-300)
+        limit = HUBER_LIMIT_STDS * std
+        root[rows] = np.sqrt(limit / np.maximum(sizes[rows], limit)) / std
     return root
 
 
@@ -274,16 +253,13 @@ def jackknife(equations: Equations, factor: Factor) -> tuple[FloatArray, FloatAr
     to_parameters = basis / factor.singular[factor.is_resolved]
     gram, block_grams, priors = _normal_equations(equations, factor.root, to_parameters)
     reference = np.linalg.solve(gram[:, :-1], gram[:, -1])
-    shifts = []
-    for block_gram in block_grams:
-        rest = gram - block_gram
-        # a small ridge keeps a direction that only this block determines at a finite value
-        rest[np.diag_indices(len(rest))] += 1e-9
-        shifts.append(np.linalg.solve(rest[:, :-1], rest[:, -1]) - reference)
+    # a small ridge keeps a direction that only one block determines at a finite value
+    rest = gram - block_grams + 1e-9 * np.eye(*gram.shape)
+    shifts = np.linalg.solve(rest[:, :, :-1], rest[:, :, -1:])[:, :, 0] - reference
     m = len(shifts)
     inverse = np.linalg.inv(gram[:, :-1])
     of_priors = inverse @ priors @ inverse
-    inner_covariance = (m - 1) / m * np.array(shifts).T @ np.array(shifts) + of_priors
+    inner_covariance = (m - 1) / m * shifts.T @ shifts + of_priors
     k = to_parameters.shape[1]
     covariance: FloatArray = to_parameters @ inner_covariance[:k, :k] @ to_parameters.T
     return covariance, np.asarray(np.diag(inner_covariance)[k:] * equations.common_deviation**2)
@@ -291,54 +267,55 @@ def jackknife(equations: Equations, factor: Factor) -> tuple[FloatArray, FloatAr
 
 def _normal_equations(
     equations: Equations, root: FloatArray, back: FloatArray
-) -> tuple[FloatArray, list[FloatArray], FloatArray]:
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Normal equations of w and the common nuisance parameters, without the local parameters.
 
     The parameters are x = `back @ w`. Returns the matrix (k, k + 1), whose last column is the
-    right-hand side, the contribution of each block to it, and that of the errors of the priors, of
-    unit variance, (k, k).
+    right-hand side, the contributions of the blocks to it, (n_blocks, k, k + 1), and that of the
+    errors of the priors, of unit variance, (k, k).
     """
     common = equations.common * equations.common_deviation
     columns = [equations.shared @ back, common, equations.target]
-    rows = np.column_stack(columns) * root[:, None]
-    n = rows.shape[1]
+    table = np.column_stack(columns)
+    below = _reduced(equations, root, table, (0, 0)).below
+    rows, n = table * root[:, None], table.shape[1]
     gram, priors = np.zeros((n, n)), np.zeros((n, n))
     has_no_local = equations.group != PRIOR_GROUP
-    block_grams: dict[int, FloatArray] = {}
+    labels, block = np.unique(equations.block, return_inverse=True)
+    block_grams = np.zeros((len(labels), n, n))
     for part, Z in _weighted_parts(equations, root):
         if not Z.entries.size:
             continue
-        coefficients, _, _ = _eliminate(Z, rows[part.rows], leverage=False)
-        part_gram, without = _without_blocks(Z, rows[part.rows], equations.block[part.rows])
+        part_gram, without = _without_blocks(Z, rows[part.rows], block[part.rows], len(labels))
         gram += part_gram
-        priors += coefficients.T @ coefficients
-        for label, remaining in without.items():
-            block_grams[label] = block_grams.get(label, 0.0) + part_gram - remaining
+        block_grams += part_gram - without
         has_no_local[part.rows] = False
-    for label in np.unique(equations.block[has_no_local]).tolist():
-        block_rows = rows[has_no_local & (equations.block == label)]
-        block_grams[label] = block_grams.get(label, 0.0) + block_rows.T @ block_rows
+    for label in np.unique(block[has_no_local]).tolist():
+        block_rows = rows[has_no_local & (block == label)]
+        block_grams[label] += block_rows.T @ block_rows
         gram += block_rows.T @ block_rows
     n_own = n - 1 - common.shape[1]
+    priors += below.T @ below
     prior_rows = np.vstack([rows[equations.group == PRIOR_GROUP], np.eye(n)[n_own:-1]])
     gram += prior_rows.T @ prior_rows
     priors += prior_rows.T @ prior_rows
-    return gram[:-1], [each[:-1] for each in block_grams.values()], priors[:-1, :-1]
+    has_rows = np.zeros(len(labels), dtype=bool)
+    has_rows[block[equations.group != PRIOR_GROUP]] = True
+    return gram[:-1], block_grams[has_rows, :-1], priors[:-1, :-1]
 
 
 def _without_blocks(
-    Z: Banded, right: FloatArray, block: IntArray
-) -> tuple[FloatArray, dict[int, FloatArray]]:
-    """Matrix right' (I + Z Z')^-1 right for all rows, and without the rows of each label."""
+    Z: Banded, right: FloatArray, block: IntArray, n_blocks: int
+) -> tuple[FloatArray, FloatArray]:
+    """Matrix right' (I + Z Z')^-1 right for all rows, and without each block, (n_blocks, ...)."""
     order = np.argsort(block, kind="stable")
-    present, counts = np.unique(block, return_counts=True)
-    stops = [0, *np.cumsum(counts).tolist()]
+    stops = [0, *np.cumsum(np.bincount(block, minlength=n_blocks)).tolist()]
     Z = Z.rows(order)
     right = np.ascontiguousarray(right[order])
     full, *without = _core.residual_products_without_blocks(
         Z.first, Z.entries, Z.n_columns, right, stops
     )
-    return full, dict(zip(present.tolist(), without, strict=True))
+    return full, np.array(without)
 
 
 def determined(equations: Equations, factor: Factor, covariance: FloatArray) -> BoolArray:

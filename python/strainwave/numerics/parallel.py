@@ -11,9 +11,12 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from functools import cache
 from typing import TYPE_CHECKING, TypeVar, cast
 
 if TYPE_CHECKING:
+    from threadpoolctl import ThreadpoolController
+
     from strainwave.numerics.dask_cluster import Cluster
 
 Result = TypeVar("Result")
@@ -30,10 +33,16 @@ _SWITCH_INTERVAL = 1e-3
 @contextmanager
 def one_blas_thread() -> Iterator[None]:
     """Limit BLAS to one thread: for small products, synchronisation costs more than it saves."""
-    from threadpoolctl import threadpool_limits
-
-    with threadpool_limits(limits=1, user_api="blas"):
+    with _blas_libraries("scipy.linalg" in sys.modules).limit(limits=1, user_api="blas"):
         yield
+
+
+@cache
+def _blas_libraries(with_scipy: bool) -> ThreadpoolController:  # noqa: ARG001 - SciPy has another
+    """Loaded BLAS libraries; the search for them takes as long as a small fit."""
+    from threadpoolctl import ThreadpoolController
+
+    return ThreadpoolController()
 
 
 def configure_worker() -> None:

@@ -176,8 +176,8 @@ pub trait CompiledArm: Send + Sync {
     fn link_torques(&self, base: &[f64], motion: &LinkMotion<'_>) -> Vec<f64>;
     /// Motor torques [N m] of a motion with rigid gears, (5): samples times joints.
     fn inverse_dynamics(&self, parameters: &[f64], motion: &LinkMotion<'_>) -> Vec<f64>;
-    /// M_L(q) of (2) [kg m^2]: samples times joints times joints.
-    fn inertia_matrix(&self, parameters: &[f64], angle: &[f64]) -> Vec<f64>;
+    /// M_L(q) of (2) [kg m^2] for base parameters, physical or not: samples times joints times joints.
+    fn inertia_matrix(&self, base: &[f64], angle: &[f64]) -> Vec<f64>;
     /// Centrifugal, Coriolis and gravity torques c + g of (2) [N m]: samples times joints.
     fn bias_torques(&self, parameters: &[f64], angle: &[f64], velocity: &[f64]) -> Vec<f64>;
 }
@@ -450,9 +450,9 @@ impl<A: Arm<N>, const N: usize> CompiledArm for Compiled<A, N> {
         (0..q.len()).flat_map(of_joints).collect()
     }
 
-    fn inertia_matrix(&self, parameters: &[f64], angle: &[f64]) -> Vec<f64> {
+    fn inertia_matrix(&self, base: &[f64], angle: &[f64]) -> Vec<f64> {
         let (arm, n) = (&self.config.arm, self.joints());
-        let base = arm.base(parameters);
+        let base = arm.base(base);
         let at = |q: &[f64; N]| arm.inertia(&base, &arm.posture(q)).into_iter().take(n);
         let postures = rows(angle, n);
         let entries = postures.iter().flat_map(at);

@@ -2,8 +2,11 @@
 //!
 //! [`products`] adds products of tall matrices, tile by tile in registers. [`triangular`] computes
 //! the triangular factor of a tall matrix. [`elimination`] eliminates local unknowns from
-//! least-squares problems. Matrices are row-major slices; samples are rows.
+//! least-squares problems. [`reduction`] does so for weighted equations and
+//! factorises the rest. [`symmetric_filter`] filters at selected samples. Matrices are row-major slices; samples are rows.
 
 pub mod elimination;
 pub mod products;
+pub mod reduction;
+pub mod symmetric_filter;
 pub mod triangular;

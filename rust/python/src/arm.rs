@@ -267,12 +267,7 @@ impl Arm {
         acceleration: Matrix<'py>,
     ) -> PyResult<Bound<'py, PyArray2<f64>>> {
         let shape = [angle.as_array().nrows(), self.n_joints()];
-        let base = base.as_array().to_vec();
-        let (got, expected) = (base.len(), self.0.base_parameters());
-        if got != expected {
-            let message = format!("base has {got} values instead of {expected}");
-            return Err(PyValueError::new_err(message));
-        }
+        let base = self.base(&base)?;
         let work = |motion: &LinkMotion<'_>| self.0.link_torques(&base, motion);
         let torques = self.along(py, [&angle, &velocity, &acceleration], work)?;
         PyArray1::from_vec(py, torques).reshape(shape)
@@ -329,13 +324,13 @@ impl Arm {
     fn inertia_matrix<'py>(
         &self,
         py: Python<'py>,
-        parameters: Vector<'py>,
+        base: Vector<'py>,
         angle: Matrix<'py>,
     ) -> PyResult<Bound<'py, PyArray3<f64>>> {
-        let values = self.checked(&parameters)?;
+        let base = self.base(&base)?;
         let n = self.n_joints();
         let q = rows(&angle, "angle", 0, n)?;
-        let matrices = py.detach(|| self.0.inertia_matrix(&values, &q));
+        let matrices = py.detach(|| self.0.inertia_matrix(&base, &q));
         PyArray1::from_vec(py, matrices).reshape([q.len() / n, n, n])
     }
 
@@ -389,6 +384,17 @@ impl Arm {
         let values = parameters.as_array().to_vec();
         self.check(&values)?;
         Ok(values)
+    }
+
+    /// Base parameters, physical or not.
+    fn base(&self, base: &Vector<'_>) -> PyResult<Vec<f64>> {
+        let base = base.as_array().to_vec();
+        let (got, expected) = (base.len(), self.0.base_parameters());
+        if got != expected {
+            let message = format!("base has {got} values instead of {expected}");
+            return Err(PyValueError::new_err(message));
+        }
+        Ok(base)
     }
 
     /// Parameters and initial states with these names.

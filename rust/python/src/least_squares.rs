@@ -7,47 +7,95 @@ use numpy::{
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use strainwave_numerics::elimination::{self, Windows};
+use strainwave_numerics::reduction::{self, Part, Widths};
 
 use crate::statespace::not_contiguous;
 
 /// Adds this file's functions to the module.
 pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
-    module.add_function(wrap_pyfunction!(eliminate, module)?)?;
+    module.add_function(wrap_pyfunction!(reduce, module)?)?;
     module.add_function(wrap_pyfunction!(residual_products_without_blocks, module)?)
 }
 
-/// Eliminates unknowns with unit prior variance from right-hand sides: solution, residuals and
-/// leverages.
+/// Rows, regressors and number of local unknowns.
+type LocalPart<'py> = (
+    PyReadonlyArray1<'py, i64>,
+    PyReadonlyArray1<'py, i64>,
+    PyReadonlyArray2<'py, f64>,
+    usize,
+);
+
+/// Weighted equations without their local unknowns: norms of the parameters' columns, rows,
+/// regression on the local unknowns, leverages, triangular factor.
 #[pyfunction]
 #[allow(clippy::type_complexity)]
-fn eliminate<'py>(
+fn reduce<'py>(
     py: Python<'py>,
-    first: PyReadonlyArray1<'py, i64>,
-    entries: PyReadonlyArray2<'py, f64>,
-    unknowns: usize,
-    right: PyReadonlyArray2<'py, f64>,
-    leverage: bool,
+    table: PyReadonlyArray2<'py, f64>,
+    root: PyReadonlyArray1<'py, f64>,
+    n_common: usize,
+    n_parameters: usize,
+    parts: Vec<LocalPart<'py>>,
+    stds: PyReadonlyArray1<'py, f64>,
 ) -> PyResult<(
+    Bound<'py, PyArray1<f64>>,
     Bound<'py, PyArray2<f64>>,
     Bound<'py, PyArray2<f64>>,
     Bound<'py, PyArray1<f64>>,
+    Bound<'py, PyArray2<f64>>,
 )> {
-    let first = starts(&first)?;
-    let z = windows(&first, &entries, unknowns)?;
-    let (rows, sides) = checked_right(&first, &right)?;
-    let right = right.as_slice().map_err(|_| not_contiguous("right"))?;
-    let result = py.detach(|| elimination::eliminate(z, right, sides, leverage));
-    let elimination = result.ok_or_else(|| PyValueError::new_err("expected finite equations"))?;
+    let (n, all) = (table.shape()[0], table.shape()[1]);
+    let widths = Widths {
+        common: n_common,
+        parameters: n_parameters,
+        all,
+    };
+    let unknowns: usize = parts.iter().map(|part| part.3).sum();
+    if root.len() != n || n_common + n_parameters > all || stds.len() != unknowns {
+        return Err(PyValueError::new_err(format!(
+            "expected {n} weights, {unknowns} deviations and at most {all} unknowns"
+        )));
+    }
+    let table = table.as_slice().map_err(|_| not_contiguous("table"))?;
+    let root = root.as_slice().map_err(|_| not_contiguous("root"))?;
+    let stds = stds.as_slice().map_err(|_| not_contiguous("stds"))?;
+    let mut lists = Vec::with_capacity(parts.len());
+    for (rows, first, ..) in &parts {
+        let (rows, first) = (starts(rows)?, starts(first)?);
+        if rows.len() != first.len() || rows.iter().any(|&row| row >= n) {
+            return Err(PyValueError::new_err(
+                "expected windows of rows of the table",
+            ));
+        }
+        lists.push((rows, first));
+    }
+    let (mut local, mut begin) = (Vec::with_capacity(parts.len()), 0);
+    for ((_, _, entries, count), (rows, first)) in parts.iter().zip(&lists) {
+        let none = Windows {
+            first: &[],
+            entries: &[],
+            width: 0,
+            unknowns: *count,
+        };
+        local.push(Part {
+            rows,
+            windows: match entries.len() {
+                0 => none,
+                _ => windows(first, entries, *count)?,
+            },
+            stds: &stds[begin..begin + count],
+        });
+        begin += count;
+    }
+    let reduced = py
+        .detach(|| reduction::reduce(table, root, widths, &local))
+        .ok_or_else(|| PyValueError::new_err("expected finite equations"))?;
     Ok((
-        elimination
-            .solution
-            .into_pyarray(py)
-            .reshape([unknowns, sides])?,
-        elimination
-            .residuals
-            .into_pyarray(py)
-            .reshape([rows, sides])?,
-        elimination.leverage.into_pyarray(py),
+        reduced.scale.into_pyarray(py),
+        reduced.own.into_pyarray(py).reshape([n, all])?,
+        reduced.below.into_pyarray(py).reshape([unknowns, all])?,
+        reduced.leverage.into_pyarray(py),
+        reduced.factor.into_pyarray(py).reshape([all; 2])?,
     ))
 }
 

@@ -7,6 +7,7 @@ mod least_squares;
 mod load_stream;
 mod parameters;
 mod statespace;
+mod symmetric_filter;
 mod triangular;
 
 use pyo3::prelude::*;
@@ -20,6 +21,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     statespace::register(module)?;
     least_squares::register(module)?;
     triangular::register(module)?;
+    symmetric_filter::register(module)?;
     parameters::register(module)?;
     module.add("GEAR_CORNER", strainwave_core::joint::gear::CORNER)?;
     Ok(())

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -58,8 +57,9 @@ from strainwave.identification.rigid.trial import (
     prepare_all,
     search_bandwidths,
     select_bandwidth,
+    solve,
 )
-from strainwave.numerics.parallel import one_blas_thread, run_parallel
+from strainwave.numerics.parallel import one_blas_thread
 from strainwave.signals.motor import period_of
 
 __all__ = ["RigidOptions", "estimate_drive_gains", "fit_rigid"]
@@ -116,10 +116,10 @@ def _fit(
         if any(c.effect in LOAD_TERMS for c in best.candidates):
             # other shares of the rotors in inertias, on which the gears' loads depend
             shares = replace(best.estimate.shares, inertia=_ALTERNATIVE_INERTIA_SHARE)
-            other = fit_trial(
+            other = solve(
                 best.arm, best.stretches, best.estimate, shares, best.candidates, best.factor.root
             )
-            change = other.solution - best.solution
+            change = other.estimate.solution - best.solution
             doubt += np.outer(change, change)
             of_terms = other.factor.common - best.factor.common
             best = replace(best, common_deviation=np.hypot(best.common_deviation, of_terms))
@@ -245,20 +245,15 @@ def _elastic_model_error(best: Trial) -> FloatArray:
     ratio = best.bandwidth_hz / float(np.min(anti_resonances(arm, best.estimate)))
     if ratio == 0.0:
         return np.zeros(len(best.covariance))
-    rigid_arm, usual = arm.behind_rigid_gears(), MotorShares.usual(arm)
+    usual, root = MotorShares.usual(arm), best.factor.root
     alternatives = [replace(usual, inertia=_ALTERNATIVE_INERTIA_SHARE)]
     if usual.viscous_friction < 1.0:
         alternatives.append(replace(usual, viscous_friction=_ALTERNATIVE_VISCOUS_SHARE))
-    trials = run_parallel(
-        [
-            partial(fit_trial, rigid_arm, best.stretches, best.estimate),
-            *(
-                partial(fit_trial, arm, best.stretches, best.estimate, each)
-                for each in alternatives
-            ),
-        ]
+    arms = [(arm.behind_rigid_gears(), usual), *((arm, shares) for shares in alternatives)]
+    rigid_solution, *others = (
+        solve(each, best.stretches, best.estimate, shares, weights=root).estimate.solution
+        for each, shares in arms
     )
-    rigid_solution, *others = (trial.solution for trial in trials)
     next_order = (best.solution - rigid_solution) * ratio**2
     return np.asarray(next_order**2 + sum((best.solution - other) ** 2 for other in others))
 

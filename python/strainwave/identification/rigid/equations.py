@@ -8,6 +8,7 @@ times the compliance, (1) and (2).
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -219,6 +220,7 @@ def assemble(
     stretches: Sequence[FilteredRecord],
     linearised_at: Estimate | None,
     terms: Sequence[FurtherTerm] = (),
+    previous: Equations | None = None,
 ) -> Equations:
     """Assemble the equations of all records and joints.
 
@@ -229,10 +231,12 @@ def assemble(
     only is zero, because it acts as Coulomb friction.
 
     Without `linearised_at`, the joints are rigid, the prior of the free friction is the size of the
-    torque, and there are no `terms`, whose unknowns are common to all rows.
+    torque, and there are no `terms`, whose unknowns are common to all rows. `previous` are equations
+    of the same records around another estimate, of which the constant parts are reused.
     """
+    offset_share = slides_both_ways(stretches)
     parts = [
-        _joint_by_joint(arm, stretch, linearised_at, record, terms)
+        _joint_by_joint(arm, stretch, linearised_at, record, terms, offset_share)
         for record, stretch in enumerate(stretches)
     ]
     common_std = np.zeros(0)
@@ -242,34 +246,39 @@ def assemble(
         common_std = _COMPLIANCE_STD / (np.maximum(inertia, _MIN_INERTIA) * w**2)
     if linearised_at is not None and terms:
         common_std = np.concatenate([common_std, term_stds(terms, arm, stretches)])
-    ends = np.cumsum([0, *(len(part.target) for part in parts)])
-    counts = blocks_of(stretches)
-    first_blocks = np.cumsum([0, *counts])
-    shared = np.concatenate([part.shared for part in parts])
-    offsets = arm.n_body + FRICTION_COLUMNS * np.arange(arm.n_joints) + 2
-    shared[:, offsets] *= slides_both_ways(stretches)
-    return Equations(
+    shared, common, target, local_std = (np.concatenate(x) for x in zip(*parts, strict=True))
+    if previous is None:
+        previous = _constant_parts(arm, stretches)
+    return replace(
+        previous,
         shared=shared,
-        noise=np.sqrt(np.mean([s.noise**2 for s in stretches], axis=0)),
-        common=np.concatenate([part.common for part in parts]),
+        common=common,
         common_deviation=common_std,
-        local=tuple(
-            Local(first + own.rows, own.columns)
-            for part, first in zip(parts, ends, strict=False)
-            for own in part.local
-        ),
-        local_deviation=np.concatenate([part.local_deviation for part in parts]),
-        target=np.concatenate([part.target for part in parts]),
-        group=np.concatenate([part.group for part in parts]),
-        block=np.concatenate(
-            [
-                first + stretch.blocks(count)[part.block]
-                for part, stretch, first, count in zip(
-                    parts, stretches, first_blocks, counts, strict=False
-                )
-            ]
-        ),
-        repetition=np.concatenate([part.repetition for part in parts]),
+        local_deviation=local_std,
+        target=target,
+    )
+
+
+def _constant_parts(arm: Arm, stretches: Sequence[FilteredRecord]) -> Equations:
+    """Equations of all records without the entries that depend on the estimate."""
+    local, blocks, first_row, first_block = [], [], 0, 0
+    for stretch, count in zip(stretches, blocks_of(stretches), strict=True):
+        ends = first_row + np.searchsorted(stretch.joint, np.arange(arm.n_joints + 1))
+        rows = (np.arange(*pair) for pair in itertools.pairwise(ends.tolist()))
+        local += map(Local, rows, stretch.free)
+        blocks.append(first_block + stretch.blocks(count)[stretch.row])
+        first_row, first_block = int(ends[-1]), first_block + count
+    return Equations(
+        shared=np.zeros((0, 0)),
+        noise=np.sqrt(np.mean([s.noise**2 for s in stretches], axis=0)),
+        common=np.zeros((0, 0)),
+        common_deviation=np.zeros(0),
+        local=tuple(local),
+        local_deviation=np.zeros(0),
+        target=np.zeros(0),
+        group=np.concatenate([s.joint for s in stretches]),
+        block=np.concatenate(blocks),
+        repetition=np.concatenate([s.repetition[s.row] for s in stretches]),
     )
 
 
@@ -279,48 +288,37 @@ def _joint_by_joint(
     linearised_at: Estimate | None,
     record: int,
     terms: Sequence[FurtherTerm],
-) -> Equations:
-    """Equations of one record, without deviations of common unknowns; blocks are its rows."""
+    offset_share: BoolArray,
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Columns of the parameters and common unknowns, target, and local deviations of one record.
+
+    `offset_share` (n_joints,) is whether joints have an offset.
+    """
     body = _body_equations(arm, stretch, linearised_at, record)
     common = body.lags
     if terms and linearised_at is not None:
         of_terms = term_columns(terms, arm, stretch, linearised_at)
         common = np.concatenate([common, of_terms], axis=2)
-    n_rows, n_joints = stretch.torque.shape
-    X = np.zeros((n_joints, n_rows, len(arm.rigid_columns)))
-    X[:, :, : arm.n_body] = np.swapaxes(body.regressor, 0, 1)
-    for i in range(n_joints):
-        friction = arm.n_body + FRICTION_COLUMNS * i
-        X[i, :, friction : friction + FRICTION_COLUMNS] = stretch.friction[:, i]
-        X[i, :, friction] -= body.own_lag[:, i]
-    if arm.n_shared:
+    at = stretch.row, stretch.joint
+    n_body, n_shared = arm.n_body, arm.n_shared
+    X = np.zeros((len(stretch.row), len(arm.rigid_columns)))
+    X[:, :n_body] = body.regressor[at]
+    friction = stretch.friction[at]
+    friction[:, 0] -= body.own_lag[at]
+    friction[:, 2] *= offset_share[stretch.joint]
+    columns = n_body + FRICTION_COLUMNS * stretch.joint[:, None] + np.arange(FRICTION_COLUMNS)
+    np.put_along_axis(X, columns, friction, axis=1)
+    if n_shared:
         shared = arm.shared_friction_regressor(stretch.friction[:, :, 0]) - body.shared_lag
-        X[:, :, -arm.n_shared :] = np.swapaxes(shared, 0, 1)
+        X[:, -n_shared:] = shared[at]
     if linearised_at is not None:
         coulomb = arm.joint_friction(linearised_at.solution)[:, 1]
     else:  # a record at an edge throughout has no rows
+        n_rows, n_joints = stretch.torque.shape
         coulomb = np.std(stretch.torque, axis=0) if n_rows else np.zeros(n_joints)
-    keep = stretch.keep.T
-    joint, row = np.nonzero(keep)
-    ends = np.searchsorted(joint, np.arange(n_joints + 1)).tolist()
-    return Equations(
-        shared=X[keep],
-        noise=stretch.noise,
-        common=np.swapaxes(common, 0, 1)[keep],
-        common_deviation=np.zeros(0),
-        local=tuple(
-            Local(np.arange(start, stop), free)
-            for start, stop, free in zip(ends, ends[1:], stretch.free, strict=False)
-        ),
-        local_deviation=np.repeat(
-            np.maximum(_STICTION_STD * np.abs(coulomb), 1e-300),
-            [free.n_columns for free in stretch.free],
-        ),
-        target=body.torque.T[keep],
-        group=joint,
-        block=row,
-        repetition=stretch.repetition[row],
-    )
+    stds = np.maximum(_STICTION_STD * np.abs(coulomb), 1e-300)
+    of_local = np.repeat(stds, [free.n_columns for free in stretch.free])
+    return X, common[at], body.torque[at], of_local
 
 
 def blocks_of(stretches: Sequence[FilteredRecord]) -> list[int]:
@@ -365,14 +363,14 @@ def estimate_of(
     return Estimate(factor.value, compliance, tuple(stiction_torque), shares)
 
 
-def average_estimates(one: Estimate, other: Estimate) -> Estimate:
-    """Mean of two estimates of the same records, with the motor shares of `other`."""
+def mix_estimates(one: Estimate, other: Estimate, share: float) -> Estimate:
+    """Mean of two estimates of the same records, the other with a share and with its motor shares."""
+    rest = 1.0 - share
+    pairs = zip(one.stiction_torque, other.stiction_torque, strict=True)
     return Estimate(
-        0.5 * (one.solution + other.solution),
-        0.5 * (one.compliance + other.compliance),
-        tuple(
-            0.5 * (a + b) for a, b in zip(one.stiction_torque, other.stiction_torque, strict=True)
-        ),
+        rest * one.solution + share * other.solution,
+        rest * one.compliance + share * other.compliance,
+        tuple(rest * a + share * b for a, b in pairs),
         other.shares,
     )
 
@@ -411,21 +409,24 @@ def _body_equations(
         shape = len(phi), arm.n_joints
         lags, shared_lag = np.zeros((*shape, 0)), np.zeros((*shape, arm.n_shared))
         return _BodyEquations(phi, lags, torque, np.zeros(shape), shared_lag)
-    gear, dgear, ddgear = _gear_torques(arm, stretch, linearised_at, record)
-    c = linearised_at.compliance
-    angle, torsion = links[0], (c * gear, c * dgear, c * ddgear)
-    links = [x - twist for x, twist in zip(links, torsion, strict=True)]
-    phi = body_regressor(arm, links, torsion, linearised_at.shares.inertia)
-    payload = arm.payload_vector(stretch.signals.experiment.payload)
-    # motor torque per compliance, -N C^T M_j(q) ddT_j: (n_samples, n_joints, n_joints)
-    per_link = arm.torques_of_accelerations(_base(arm, linearised_at) + payload, angle, ddgear)
-    lags = -arm.motors_of(np.swapaxes(per_link, 1, 2)).swapaxes(1, 2)
-    lags -= dgear[:, None] * (arm.transmission.T * _link_viscous_friction(arm, linearised_at))
-    lags *= arm.is_elastic
+    gears = _gear_torques(arm, stretch, linearised_at, record)
+    c, angle = linearised_at.compliance, links[0]
+    torsion = c * gears
+    links = np.subtract(links, torsion)
+    n, n_body = arm.n_joints, arm.n_body
     # one filter for all columns: the last is the velocity of the torsion
-    filtered = stretch.filtered(np.concatenate([phi, lags, torsion[1][:, :, None]], axis=2))
-    phi, lags, lag_velocity = np.split(filtered, [phi.shape[2], filtered.shape[2] - 1], axis=2)
-    lag_velocity = lag_velocity[:, :, 0]
+    columns = np.empty((len(angle), n, n_body + n + 1))
+    columns[:, :, :n_body] = body_regressor(arm, links, torsion, linearised_at.shares.inertia)
+    # motor torque per compliance, -N C^T M_j(q) ddT_j, for the symmetric M: by gear, then by motor
+    base = _base(arm, linearised_at) + arm.payload_vector(stretch.signals.experiment.payload)
+    lags = arm.motors_of(arm.inertia_matrices(base, angle)) * gears[2][:, :, None]
+    viscous = arm.transmission * _link_viscous_friction(arm, linearised_at)[:, None]
+    if viscous.any():
+        lags += gears[1][:, :, None] * viscous
+    columns[:, :, n_body:-1] = -np.swapaxes(lags, 1, 2)
+    columns[:, :, -1] = torsion[1]
+    columns = stretch.filtered(columns)
+    phi, lags, lag_velocity = columns[:, :, :n_body], columns[:, :, n_body:-1], columns[:, :, -1]
     torque = stretch.torque - _payload_torque(arm, stretch, links)
     own_lag = lag_velocity * (1.0 - _motor_shares(arm, linearised_at)) / arm.gear_ratios
     at_links = list(arm.shared_links)
@@ -441,17 +442,20 @@ def twisted_links(
     if not n_compliances(arm):
         return list(links)
     gears = _gear_torques(arm, stretch, linearised_at, record)
-    return [q - linearised_at.compliance * T for q, T in zip(links, gears, strict=True)]
+    return list(np.subtract(links, linearised_at.compliance * gears))
 
 
 def _gear_torques(
     arm: Arm, stretch: FilteredRecord, linearised_at: Estimate, record: int
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Torque through each gear, link side, and its first two derivatives."""
+) -> FloatArray:
+    """Torque through each elastic gear, link side, and its first two derivatives.
+
+    Shape (3, n_motion, n_joints), zero for rigid gears.
+    """
     gear = _gear_torque(arm, stretch, linearised_at, linearised_at.stiction_torque[record])
     interval = stretch.motion_step * stretch.signals.sample_time
     rate = differentiate(gear, interval)
-    return gear, rate, differentiate(rate, interval)
+    return np.array([gear, rate, differentiate(rate, interval)]) * arm.is_elastic
 
 
 def _motor_shares(arm: Arm, linearised_at: Estimate) -> FloatArray:

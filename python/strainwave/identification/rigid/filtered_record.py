@@ -18,7 +18,7 @@ from strainwave.dynamics.rigid_prediction import (
     link_motion,
     torsion_motion,
 )
-from strainwave.numerics.filters import low_pass
+from strainwave.numerics.filters import impulse_response, low_pass
 from strainwave.numerics.linalg import Banded
 from strainwave.signals.standstill import free_friction, responses, running
 
@@ -55,7 +55,9 @@ class FilteredRecord:
     links: tuple[FloatArray, ...]  # motion of the links, as `motion`, without unknown torsions
     body: FloatArray  # (n_rows, n_joints, n_body) regressor of the links if rigid, otherwise empty
     rows: IntArray  # (n_rows,) sample indices
-    keep: BoolArray  # (n_rows, n_joints)
+    # (n_equations,) of each equation, joint by joint: joint from 0, and index of its row
+    joint: IntArray
+    row: IntArray
     torque: FloatArray  # (n_rows, n_joints)
     friction: FloatArray  # (n_rows, n_joints, 3) per dq, sgn(dq), 1
     # per joint, shape functions of the free friction at the motion's samples: indices (n_near,)
@@ -89,7 +91,19 @@ class FilteredRecord:
     def filtered(self, signal: FloatArray) -> FloatArray:
         """Apply the equations' filter to a signal at the motion's samples: (n_rows, ...)."""
         step, T = self.motion_step, self.signals.sample_time
-        return low_pass(signal, self.bandwidth_hz, T, decimated=step)[self.rows // step]
+        at = self.rows // step
+        if not len(at):
+            return signal[:0]
+        kept = slice(int(at[0]), int(at[-1]) + 1, decimation(T, self.bandwidth_hz) // step)
+        return low_pass(signal, self.bandwidth_hz, T, decimated=step, kept=kept)
+
+
+def count_rows(arm: Arm, signals: Signals, bandwidth_hz: float) -> int:
+    """Number of rows of a record, before those without information are left out."""
+    T, n = signals.sample_time, len(signals.time)
+    edge = _edge_samples(T, bandwidth_hz)
+    is_mirrored = not n_compliances(arm) and edge > _MAX_EDGE_SHARE * n
+    return max(0, n - 2 * edge * (not is_mirrored)) // decimation(T, bandwidth_hz)
 
 
 def decimation(sample_time: float, bandwidth_hz: float) -> int:
@@ -121,12 +135,10 @@ def sample_motion(records: Sequence[Signals], bandwidth_hz: float) -> FloatArray
     parts, count = [], -(-_MAX_MOTION_SAMPLES // len(records))
     for s in records:
         rows = slice(None, None, -(-len(s.time) // count))
-        motion = [
-            low_pass(x, bandwidth_hz, s.sample_time, kept=rows)
-            for x in (s.motor_angle, s.motor_velocity, s.motor_acceleration)
-        ]
-        motion[1] = np.where(s.direction[rows] != 0.0, motion[1], 0.0)
-        parts.append(np.stack(motion))
+        channels = s.motor_angle, s.motor_velocity, s.motor_acceleration
+        motion = low_pass(np.stack(channels, axis=1), bandwidth_hz, s.sample_time, kept=rows)
+        motion[:, 1] *= s.direction[rows] != 0.0
+        parts.append(np.swapaxes(motion, 0, 1))
     return np.concatenate(parts, axis=1)
 
 
@@ -150,8 +162,10 @@ def prepare(arm: Arm, signals: Signals, bandwidth_hz: float, period: float) -> F
     step = _motion_step(T, bandwidth_hz)
     rows = np.arange(edge, n_samples - edge, decimation(T, bandwidth_hz))
     motion_samples = np.arange(n_samples)[_motion_slice(T, bandwidth_hz)]
-    kernel = _impulse_response(bandwidth_hz, T)
-    motion_kernel = _impulse_response(_MOTION_CUTOFFS * bandwidth_hz, T)
+    kernel, motion_kernel = (
+        impulse_response(_edge_samples(T, cutoff), cutoff, T)
+        for cutoff in (bandwidth_hz, _MOTION_CUTOFFS * bandwidth_hz)
+    )
     keep, stiction_shapes, free = [], [], []
     for i in range(n_joints):
         spacing = max(2, round(cutoff_period / _KNOTS_PER_PERIOD))
@@ -168,20 +182,24 @@ def prepare(arm: Arm, signals: Signals, bandwidth_hz: float, period: float) -> F
         no_shapes = Banded(0 * rows, np.zeros((len(rows), 0)), 0)
         used = friction if elastic or informative.any() else no_shapes
         free.append(used.rows(informative))
+    channels = [
+        signals.motor_angle,
+        signals.motor_velocity,
+        signals.motor_acceleration,
+        signals.motor_torque,
+        signals.direction,
+    ]
+    joined = np.empty((n_samples, len(channels) * n_joints))
+    np.concatenate([x.T for x in channels], out=joined.T)  # column by column, which is faster
+    filtered = motion_of(joined, bandwidth_hz, T)
     angle, velocity, acceleration, torque, direction = (
-        motion_of(x, bandwidth_hz, T)
-        for x in (
-            signals.motor_angle,
-            signals.motor_velocity,
-            signals.motor_acceleration,
-            signals.motor_torque,
-            signals.direction,
-        )
+        np.ascontiguousarray(x) for x in np.split(filtered, len(channels), axis=1)
     )
     motion = (angle, velocity, acceleration)
     torsion = tuple(motion_of(x, bandwidth_hz, T) for x in torsion_motion(signals))
     links = tuple(link_motion(arm, motion, torsion))
     unfiltered = np.stack([torque, velocity, direction, np.ones_like(torque)], axis=2)
+    joint, row = np.nonzero(keep)
     # filter both sides at the same samples, so that edge effects are equal
     filtered = low_pass(unfiltered, bandwidth_hz, T, decimated=step)[rows // step]
     stretch = FilteredRecord(
@@ -194,7 +212,8 @@ def prepare(arm: Arm, signals: Signals, bandwidth_hz: float, period: float) -> F
         links=links,
         body=np.zeros(0),
         rows=rows,
-        keep=np.column_stack(keep),
+        joint=joint,
+        row=row,
         torque=filtered[:, :, 0],
         friction=filtered[:, :, 1:],
         stiction_shapes=tuple(stiction_shapes),
@@ -202,7 +221,7 @@ def prepare(arm: Arm, signals: Signals, bandwidth_hz: float, period: float) -> F
         noise=_column_noise(arm, signals, bandwidth_hz),
         period=period,
         sliding_time=period * T * float(np.mean(signals.direction != 0.0)),
-        slides=np.array([np.any(sign * signals.direction > 0.0, axis=0) for sign in (1.0, -1.0)]),
+        slides=np.array([[x.max() > 0.0, x.min() < 0.0] for x in signals.direction.T]).T,
     )
     if elastic:
         return stretch
@@ -228,14 +247,6 @@ def _mirror_ends(signals: Signals, count: int) -> Signals:
         valid=mirrored(signals.valid),
         torsion=None if signals.torsion is None else mirrored(signals.torsion),
     )
-
-
-def _impulse_response(cutoff_hz: float, sample_time: float) -> FloatArray:
-    """Impulse response of the low-pass, centred, until it has decayed."""
-    half_length = _edge_samples(sample_time, cutoff_hz)
-    impulse = np.zeros(2 * half_length + 1)
-    impulse[half_length] = 1.0
-    return low_pass(impulse, cutoff_hz, sample_time)
 
 
 def n_compliances(arm: Arm) -> int:

@@ -80,11 +80,10 @@ def _ratios_at(trial: Trial) -> tuple[FloatArray, FloatArray]:
     theta shared by all joints and r_1 = 1. Gauss-Newton solves for theta and all r_i. The column of
     r_i is the model torque B_i theta; with the measured torque, noise would bias r_i towards zero.
     """
-    equations, root = trial.equations, trial.factor.root
-    n = trial.arm.n_joints - 1
+    root, n = trial.factor.root, trial.arm.n_joints - 1
     ratios = np.ones(n)
     unknown = np.full(n, np.nan), np.full(n, np.nan)
-    factor = ls.factorise(equations, root)
+    factor = trial.factor
     for _ in range(_MAX_ITERATIONS):
         scaled = _scale(trial, factor.value, ratios)
         factor = ls.factorise(scaled, root)

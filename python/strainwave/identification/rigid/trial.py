@@ -13,22 +13,32 @@ from strainwave.domain.results.distributions import student_quantile
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import NotIdentifiable
 from strainwave.identification.rigid.equations import (
+    JACKKNIFE_BLOCKS,
     Estimate,
     FurtherTerm,
     MotorShares,
     anti_resonances,
     assemble,
-    average_estimates,
+    mix_estimates,
     convert_estimate,
     estimate_of,
     slides_both_ways,
 )
-from strainwave.identification.rigid.filtered_record import FilteredRecord, n_compliances, prepare
+from strainwave.identification.rigid.filtered_record import (
+    FilteredRecord,
+    count_rows,
+    n_compliances,
+    prepare,
+)
 from strainwave.numerics import least_squares as ls
 
 MAX_ITERATIONS = 20
 # change in standard deviations for white errors, which are smaller than those of the jackknife
 _TOLERANCE = 0.02
+_MIN_STEP_SHARE = 0.3  # smallest share of a step that an iteration takes
+# Change of the logarithm of square roots of weights above which they are estimated again with the
+# same equations, which costs less than another linearisation.
+_WEIGHT_TOLERANCE = 0.01
 # share of the torque above which a fit is uncertain; 1e-4 to 1e-3 with enough motion in the band
 _MAX_UNCERTAIN_TORQUE_SHARE = 0.003
 # minimum rows of one joint per block: half a period of the cut-off, the correlation time of errors
@@ -154,40 +164,12 @@ def fit_trial(
     candidates: Sequence[FurtherTerm] = (),
     weights: FloatArray | None = None,
 ) -> Trial:
-    """Fit at one bandwidth: iterate parameters, compliances and weights to convergence.
-
-    `weights` (n_rows,) are square roots of weights to start from, if the rows are the same.
-    """
-    shares = shares or MotorShares.usual(arm)
-    equations = assemble(arm, stretches, start, candidates)
-    if not len(equations.target):
-        raise NotIdentifiable("every sample is at an edge or in saturation; record for longer")
-    root = ls.initial_weights(equations.target, equations.group)
-    if weights is not None and weights.shape == root.shape:
-        root = weights
-    last_step = np.zeros(len(arm.rigid_columns))
-    for iteration in range(MAX_ITERATIONS):
-        factor = ls.factorise(equations, root)
-        previous = factor.value if start is None else start.solution
-        change = factor.value - previous
-        change_size = np.abs(change)
-        known = factor.deviation > 0.0  # other parameters do not change
-        step = np.divide(change, factor.deviation, out=np.zeros_like(change), where=known)
-        has_converged = iteration > 1 and np.all(change_size <= _TOLERANCE * factor.deviation)
-        estimate = estimate_of(arm, stretches, equations, factor, shares)
-        if start is not None and step @ last_step < 0.0 and not has_converged:  # oscillates
-            estimate = average_estimates(start, estimate)
-        start, last_step = estimate, step
-        if has_converged:
-            break
-        root = ls.root_weights(equations, factor)
-        equations = assemble(arm, stretches, start, candidates)
+    """Fit at one bandwidth, with the covariance. See `solve` for the arguments."""
+    end = solve(arm, stretches, start, shares, candidates, weights)
+    equations, factor, weighed = end.equations, end.factor, end.weighed
     covariance, common_variance = ls.jackknife(equations, factor)
-    assert start is not None
-    change, variance, weighed = _weights_of_links(arm, stretches, factor, start.solution)
     if weighed:
-        start = replace(start, solution=start.solution + change)
-        covariance = covariance + variance
+        covariance = covariance + end.weight_covariance
     resolved = replace(factor, is_resolved=factor.is_resolved | bool(weighed))
     identified = ls.determined(equations, resolved, covariance)
     # the apparent information on dry friction of a joint that never slides in both directions comes
@@ -200,16 +182,82 @@ def fit_trial(
     return Trial(
         arm=arm,
         stretches=stretches,
-        estimate=start,
+        estimate=end.estimate,
         common_deviation=np.sqrt(common_variance),
         equations=equations,
         factor=factor,
         covariance=covariance,
         determined=identified,
         candidates=tuple(candidates),
-        last_move=float(np.max((change_size / standard_deviations)[identified], initial=0.0)),
+        last_move=float(np.max((end.last_change / standard_deviations)[identified], initial=0.0)),
         weighed=weighed,
     )
+
+
+@dataclass(frozen=True, slots=True)
+class Iterate:
+    """End of the iterations of a fit."""
+
+    estimate: Estimate
+    equations: ls.Equations
+    factor: ls.Factor
+    last_change: FloatArray  # (n_parameters,) sizes
+    weighed: tuple[int, ...]  # as in `Trial`
+    weight_covariance: FloatArray  # of the weights of links, if any is assumed
+
+
+def solve(
+    arm: Arm,
+    stretches: tuple[FilteredRecord, ...],
+    start: Estimate | None,
+    shares: MotorShares | None = None,
+    candidates: Sequence[FurtherTerm] = (),
+    weights: FloatArray | None = None,
+) -> Iterate:
+    """Iterate parameters, compliances and weights at one bandwidth to convergence.
+
+    The share of each step is that of Aitken's relaxation (Irons and Tuck, International Journal for
+    Numerical Methods in Engineering 1, 1969).
+
+    `weights` (n_rows,) are square roots of weights to start from, if the rows are the same.
+    """
+    shares = shares or MotorShares.usual(arm)
+    equations = assemble(arm, stretches, start, candidates)
+    if not len(equations.target):
+        raise NotIdentifiable("every sample is at an edge or in saturation; record for longer")
+    root = ls.initial_weights(equations.target, equations.group)
+    if weights is not None and weights.shape == root.shape:
+        root = weights
+    last_step, share = np.zeros(len(arm.rigid_columns)), 1.0
+    for iteration in range(MAX_ITERATIONS):
+        factor = ls.factorise(equations, root)
+        root = ls.root_weights(equations, factor)
+        if np.max(np.abs(np.log(root / factor.root))) > _WEIGHT_TOLERANCE:
+            factor = ls.factorise(equations, root)
+            # the mean, because weights may alternate between two values
+            root = np.sqrt(root * ls.root_weights(equations, factor))
+        previous = factor.value if start is None else start.solution
+        change = factor.value - previous
+        change_size = np.abs(change)
+        deviation = factor.deviation  # zero for parameters that do not change
+        step = np.divide(change, deviation, out=np.zeros_like(change), where=deviation > 0.0)
+        has_converged = iteration > 1 and np.all(change_size <= _TOLERANCE * deviation)
+        estimate = estimate_of(arm, stretches, equations, factor, shares)
+        if last_step.any():  # full steps of some records oscillate
+            decrease = last_step - step
+            share *= float(last_step @ decrease) / max(float(decrease @ decrease), 1e-300)
+            share = min(max(share, _MIN_STEP_SHARE), 1.0)
+        if start is not None and not has_converged:
+            estimate = mix_estimates(start, estimate, share)
+        start, last_step = estimate, step
+        if has_converged:
+            break
+        equations = assemble(arm, stretches, start, candidates, equations)
+    assert start is not None
+    change, covariance, weighed = _weights_of_links(arm, stretches, factor, start.solution)
+    if weighed:
+        start = replace(start, solution=start.solution + change)
+    return Iterate(start, equations, factor, change_size, weighed, covariance)
 
 
 def _weights_of_links(
@@ -247,25 +295,49 @@ Motion = tuple[Signals, float]
 
 
 def search_bandwidths(motions: Sequence[Motion], arm: Arm) -> list[Trial]:
-    """Fit at increasing bandwidths while the estimates improve and the gears are nearly rigid."""
+    """Fit at increasing bandwidths while the estimates improve and the gears are nearly rigid.
+
+    The first one has rows for blocks of sufficient length, if any has. Neighbours of the best
+    below it start from its estimate, because short blocks do not determine a start.
+    """
+    is_rigid = n_compliances(arm) == 0
+    bandwidths = list(bandwidths_of(motions, _BANDWIDTH_RATIO ** (2 if is_rigid else 1)))
+    n_rows = [sum(count_rows(arm, s, each) for s, _ in motions) for each in bandwidths]
+    n_least = _MIN_ROWS_PER_BLOCK * JACKKNIFE_BLOCKS
+    first = next((k for k, count in enumerate(n_rows) if count >= n_least), 0)
     trials: list[Trial] = []
     least_spread, n_without_gain = np.full(len(arm.rigid_columns), np.inf), 0
-    is_rigid = n_compliances(arm) == 0
-    for bandwidth in bandwidths_of(motions, _BANDWIDTH_RATIO ** (2 if is_rigid else 1)):
+    for bandwidth in bandwidths[first:]:
         limits = [trial.max_rigid_bandwidth for trial in trials[-2:]]
         if len(limits) > 1 and bandwidth > max(limits):  # a single trial may be unreliable
             break
         stretches = prepare_all(arm, motions, bandwidth)
-        last = trials[-1] if trials else None
-        start = convert_estimate(last.estimate, last.stretches, stretches) if last else None
-        trial = fit_trial(arm, stretches, start)
+        trial = _fit_next(arm, stretches, trials[-1] if trials else None)
         trials.append(trial)
         has_improved = bool(np.any(trial.spread < least_spread - _MIN_LOG_GAIN))
         n_without_gain = 0 if has_improved else n_without_gain + 1
         least_spread = np.minimum(least_spread, trial.spread)
         if n_without_gain >= _MAX_BANDWIDTHS_WITHOUT_GAIN:
             break
+    best = select_bandwidth(trials)
+    for bandwidth in reversed(bandwidths[:first]):
+        if _is_near(bandwidth, best):
+            stretches = prepare_all(arm, motions, bandwidth)
+            trials.insert(0, _fit_next(arm, stretches, trials[0]))
     return trials
+
+
+def _fit_next(arm: Arm, stretches: tuple[FilteredRecord, ...], last: Trial | None) -> Trial:
+    """Fit from the estimate and the weights at the last bandwidth."""
+    if last is None:
+        return fit_trial(arm, stretches, None)
+    joint = np.concatenate([s.joint for s in stretches])
+    roots, group = last.factor.root, last.equations.group
+    weights = np.zeros(len(joint))
+    for i in np.unique(joint):
+        weights[joint == i] = np.median(roots[group == i]) if np.any(group == i) else 0.0
+    start = convert_estimate(last.estimate, last.stretches, stretches)
+    return fit_trial(arm, stretches, start, weights=weights if weights.all() else None)
 
 
 def bandwidths_of(motions: Sequence[Motion], step: float) -> Iterator[float]:
@@ -310,12 +382,11 @@ def select_bandwidth(trials: Sequence[Trial]) -> Trial:
     The regret of a bandwidth is the largest ratio of a standard deviation to its minimum over the
     bandwidths. For elastic gears, the lowest bandwidth with a small regret is selected, because
     model error is largest at high frequencies. For rigid gears, the standard deviations include the
-    model error, because noise of the acceleration or a delay biases inertias at high frequencies;
-    bandwidths with few rows count only if there are no others.
+    model error, because noise of the acceleration or a delay biases inertias at high frequencies.
+    Bandwidths with few rows count only if there are no others.
     """
     is_rigid = not n_compliances(trials[0].arm)
-    if is_rigid:
-        trials = [t for t in trials if not t.has_short_blocks] or trials
+    trials = [t for t in trials if not t.has_short_blocks] or trials
     spread = np.array([trial.spread for trial in trials])
     for k, trial in enumerate(trials if is_rigid else ()):
         near = neighbours(trials, trial)
@@ -333,9 +404,11 @@ def select_bandwidth(trials: Sequence[Trial]) -> Trial:
 
 def neighbours(trials: Sequence[Trial], best: Trial) -> list[Trial]:
     """Trials within about a factor of two of the best bandwidth."""
-    return [
-        t for t in trials if t is not best and 0.45 <= t.bandwidth_hz / best.bandwidth_hz <= 2.1
-    ]
+    return [t for t in trials if t is not best and _is_near(t.bandwidth_hz, best)]
+
+
+def _is_near(bandwidth_hz: float, best: Trial) -> bool:
+    return 0.45 <= bandwidth_hz / best.bandwidth_hz <= 2.1
 
 
 def excess_variance(
