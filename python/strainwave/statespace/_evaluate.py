@@ -78,7 +78,7 @@ class Evaluator:
         feedthrough: tuple[bool, ...] | None,
         *,
         gain: bool,
-        solutions: int = 2,
+        solutions: Literal[1, 2] = 2,
     ) -> ModelMatrices:
         """Estimate B, D and the initial states by linear least squares for given A, C and K.
 
@@ -90,45 +90,18 @@ class Evaluator:
         """
         if not gain:
             matrices = replace(matrices, K=np.zeros_like(matrices.K))
-        if feedthrough is not None:
-            matrices = replace(matrices, D=matrices.D * np.array(feedthrough))
-        n, m, p = self.order, self.data.n_inputs, self.data.n_outputs
-        start_b, start_d = n * n, n * (n + m + p)
-        indices = start_d + p * m + n * p + np.arange(n * len(self.data.lengths))
-        entries: Literal["linear", "without-feedthrough", "initial-states"] = "initial-states"
-        if feedthrough is not None:
-            entries = "linear" if any(feedthrough) else "without-feedthrough"
-            D = start_d + np.flatnonzero(np.tile(feedthrough, p))
-            indices = np.concatenate([start_b + np.arange(n * m), D, indices])
-        values = matrices.pack()
-        values[indices] = 0.0
-        whitener = np.eye(self.data.n_outputs)
-        for solution in range(solutions):
-            hessian, gradient = self.core.normal_equations(values, whitener, entries)
-            # The expansion point stays the same, so a second solution replaces the first.
-            block = hessian[np.ix_(indices, indices)]
-            if not np.all(np.isfinite(block)):
-                raise np.linalg.LinAlgError("the predictor overflows over the record")
-            scale = np.sqrt(np.maximum(np.diagonal(block), np.finfo(float).tiny))
-            step = np.linalg.lstsq(
-                block / np.outer(scale, scale), -gradient[indices] / scale, 1e-14
-            )
-            values[indices] += step[0] / scale
-            if solution + 1 < solutions:
-                residuals = self.residuals(self.unpack(values))
-                # If the predictor diverges, keep the first solution.
-                if not np.abs(residuals).max() < DIVERGENCE_RATIO:
-                    break
-                whitener = np.asarray(np.linalg.cholesky(limit_covariance(residuals)))
+        floor = MIN_VARIANCE_SHARE if solutions == 2 else None
+        values = self.core.linear(matrices.pack(), feedthrough, floor)
+        if values is None:
+            raise np.linalg.LinAlgError("the predictor overflows over the record")
         return self.unpack(values)
 
-    def simulated(self, matrices: ModelMatrices) -> FloatArray:
-        """Scaled outputs simulated from the inputs, with fitted initial states."""
-        with np.errstate(all="ignore"):
-            simulator = replace(matrices, K=np.zeros_like(matrices.K))
-            if is_stable(simulator.A):
-                simulator = self.linear(simulator, None, gain=False, solutions=1)
-            return self.data.outputs - self.core.residuals(simulator.pack())
+    def simulation_errors(self, matrices: ModelMatrices) -> FloatArray:
+        """Scaled outputs minus those simulated from the inputs, with fitted initial states."""
+        simulator = replace(matrices, K=np.zeros_like(matrices.K))
+        if is_stable(simulator.A):
+            simulator = self.linear(simulator, None, gain=False, solutions=1)
+        return self.core.residuals(simulator.pack())
 
 
 def limit_covariance(residuals: FloatArray) -> FloatArray:
@@ -138,13 +111,12 @@ def limit_covariance(residuals: FloatArray) -> FloatArray:
     return covariance + MIN_VARIANCE_SHARE * np.eye(len(covariance))
 
 
-def fit_percent(measured: FloatArray, modelled: FloatArray) -> tuple[float, ...]:
-    """Fit 100 (1 - |y - yhat| / |y - mean y|) of each column [%]; -inf if the model diverges."""
-    # sums over contiguous samples are many times faster than those along the first axis
-    errors, signals = (np.ascontiguousarray(x.T) for x in (measured - modelled, measured))
+def fit_percent(measured: FloatArray, errors: FloatArray) -> tuple[float, ...]:
+    """Fit 100 (1 - |e| / |y - mean y|) of each column [%]; -inf if the model diverges."""
     with np.errstate(all="ignore"):
-        centred = signals - signals.mean(axis=1, keepdims=True)
-        error_norm, signal_norm = (np.sqrt(np.vecdot(x, x)) for x in (errors, centred))
+        # the transpose has long rows, whose sums are many times faster
+        centred = measured.T - measured.T.mean(axis=1, keepdims=True)
+        error_norm, signal_norm = (np.sqrt(np.vecdot(x, x)) for x in (errors.T, centred))
         fit = 100.0 * (1.0 - error_norm / np.where(signal_norm > 0.0, signal_norm, np.nan))
     return tuple(float(value) if np.isfinite(value) else -np.inf for value in fit)
 
@@ -181,8 +153,8 @@ def assemble(
         hold=data.hold,
         method=method,
         status=status,
-        fit_percent=fit_percent(data.outputs, evaluator.simulated(matrices)),
-        prediction_fit_percent=fit_percent(data.outputs, data.outputs - residuals),
+        fit_percent=fit_percent(data.outputs, evaluator.simulation_errors(matrices)),
+        prediction_fit_percent=fit_percent(data.outputs, residuals),
         n_samples=samples,
         n_parameters=n_parameters,
         log_likelihood=-cost - log_scale - 0.5 * samples * p * (1.0 + float(np.log(2.0 * np.pi))),
@@ -309,7 +281,7 @@ def _half_log_information(
     def half_log(entry: int, step: float) -> float:
         changed = values.copy()
         changed[entry] += step
-        hessian, _ = core.normal_equations(changed, whitener, "all")
+        hessian, _ = core.normal_equations(changed, whitener)
         if not np.isfinite(hessian).all():
             return float("inf")
         projected = basis.T @ hessian[: len(basis)]

@@ -260,63 +260,22 @@ def balancing(matrices: ModelMatrices) -> FloatArray:
     are equal and diagonal, which keeps the normal equations of a fit well conditioned. T is the
     identity if the predictor is unstable or a Gramian is singular.
     """
-    predictor = matrices.A - matrices.K @ matrices.C
-    if not is_stable(predictor):
-        return np.eye(matrices.order)
-    controllability = _core.gramian(predictor, np.hstack([matrices.B, matrices.K]))
-    observability = _core.gramian(predictor.T, matrices.C.T)
-    try:
-        L = np.linalg.cholesky(controllability)
-        hankel_squares, U = np.linalg.eigh(L.T @ observability @ L)
-    except np.linalg.LinAlgError:
-        return np.eye(matrices.order)
-    # smallest Hankel singular value below rounding
-    if not hankel_squares[0] > 1e-24 * hankel_squares[-1]:
-        return np.eye(matrices.order)
-    # T = S^(1/2) U' L^-1, where S holds the Hankel singular values.
-    T = np.sqrt(np.sqrt(hankel_squares))[:, None] * np.linalg.solve(L.T, U).T
-    return np.asarray(T)
-
-
-def innovations_gain(
-    A: FloatArray, C: FloatArray, Q: FloatArray, S: FloatArray, R: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Gain of the steady-state Kalman predictor, and covariance of its innovations.
-
-    The model is x+ = A x + w, y = C x + v with cov [w; v] = [Q S; S' R]. The gain solves
-
-        P = A P A' + Q - K (C P C' + R) K',   K = (A P C' + S) (C P C' + R)^-1
-
-    by the structure-preserving doubling algorithm. A - K C is stable if the noise excites all modes
-    on or outside the unit circle.
-
-    Q has shape (n, n), S (n, p) and R (p, p). Returns K (n, p) and C P C' + R (p, p), which are NaN
-    if there is no solution.
-    """
-    solution = _core.innovations_gain(A, C, Q, S, R)
-    return solution or (np.full_like(S, np.nan), np.full_like(R, np.nan))
+    T = _core.balancing(matrices.A, matrices.B, matrices.C, matrices.K)
+    return np.eye(matrices.order) if T is None else T
 
 
 def is_stable(A: FloatArray) -> bool:
     """Whether all eigenvalues of A lie inside the unit circle."""
-    return bool(np.isfinite(A).all() and np.abs(np.linalg.eigvals(A)).max() < 1.0)
+    return _core.is_stable(A)
 
 
 def stabilising_gain(A: FloatArray, C: FloatArray, K: FloatArray, R: FloatArray) -> FloatArray:
-    """Gain K, or the gain of the stable predictor with the same noise spectrum.
+    """Gain K (n, p), or the gain of the stable predictor with the same noise spectrum.
 
     K is returned if A - K C is stable. Otherwise the Riccati equation with w = K e and v = e gives
-    the stable predictor. A small process noise on every state moves eigenvalues away from the unit
-    circle.
+    the stable predictor, for innovations e with covariance R (p, p).
     """
-    n = len(A)
-    scale = np.trace(R) / len(R)
-    for extra in (0.0, 1e-6, 1e-3, 1.0):
-        if is_stable(A - K @ C):
-            return K
-        noise = (extra or 1e-9) * scale * np.eye(n)
-        K, _ = innovations_gain(A, C, K @ R @ K.T + noise, K @ R, R)
-    return K
+    return _core.stabilising_gain(A, C, K, R)
 
 
 def reflect_poles(A: FloatArray) -> FloatArray:

@@ -105,8 +105,8 @@ def _held_out_fit(model: StateSpace, held_out: list[InputOutput]) -> tuple[float
     stacked = stack(held_out)
     evaluator, matrices = on_data(model, stacked)
     if not model.K.any():
-        return fit_percent(stacked.outputs, evaluator.simulated(matrices))
-    return fit_percent(stacked.outputs, stacked.outputs - evaluator.residuals(matrices))
+        return fit_percent(stacked.outputs, evaluator.simulation_errors(matrices))
+    return fit_percent(stacked.outputs, evaluator.residuals(matrices))
 
 
 def _choose_order(

@@ -58,8 +58,8 @@ def check_model(model: StateSpace, data: Data, *, lags: int = DEFAULT_LAGS) -> M
     scale = np.sqrt(np.sum(residuals**2, axis=0))
     normaliser = np.maximum(np.outer(scale, scale), np.finfo(float).tiny)
     return ModelCheck(
-        fit_percent=fit_percent(stacked.outputs, evaluator.simulated(matrices)),
-        prediction_fit_percent=fit_percent(stacked.outputs, stacked.outputs - residuals),
+        fit_percent=fit_percent(stacked.outputs, evaluator.simulation_errors(matrices)),
+        prediction_fit_percent=fit_percent(stacked.outputs, residuals),
         tests=(whiteness(residuals, stacked, lags=lags), *cross_tests),
         autocorrelation=_correlations(residuals, residuals, stacked, lags) / normaliser,
         cross_correlation=cross_correlation,
