@@ -287,15 +287,15 @@ def is_stable(matrix: NDArray[np.float64]) -> bool:
 class Innovations:
     """Stacked records and the sizes of a model for them.
 
-    `values` are A, B, C, D, K row by row and one initial state a record. A `whitener` L is the
+    `samples` are rows of inputs and outputs, contiguous, which are not copied. `values` are A, B, C, D, K row by row and one initial state a record. A `whitener` L is the
     lower factor of the innovations' covariance. Sizes that do not fit raise ValueError.
     """
 
     def __new__(
         cls,
         order: int,
-        inputs: NDArray[np.float64],
-        outputs: NDArray[np.float64],
+        n_inputs: int,
+        samples: NDArray[np.float64],
         lengths: Sequence[int],
     ) -> Innovations: ...
     def residuals(self, values: NDArray[np.float64]) -> NDArray[np.float64]:

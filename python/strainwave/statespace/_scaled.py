@@ -22,8 +22,7 @@ Data = InputOutput | Sequence[InputOutput]
 class Stack:
     """Stacked records, each channel divided by its root mean square."""
 
-    inputs: FloatArray  # (n_samples, n_inputs), scaled
-    outputs: FloatArray  # (n_samples, n_outputs), scaled
+    samples: FloatArray  # (n_samples, n_inputs + n_outputs): inputs and outputs, scaled
     lengths: tuple[int, ...]
     input_scale: FloatArray  # (n_inputs,)
     output_scale: FloatArray  # (n_outputs,)
@@ -34,15 +33,23 @@ class Stack:
 
     @property
     def n_samples(self) -> int:
-        return len(self.inputs)
+        return len(self.samples)
 
     @property
     def n_inputs(self) -> int:
-        return int(self.inputs.shape[1])
+        return len(self.input_scale)
 
     @property
     def n_outputs(self) -> int:
-        return int(self.outputs.shape[1])
+        return len(self.output_scale)
+
+    @property
+    def inputs(self) -> FloatArray:
+        return self.samples[:, : self.n_inputs]
+
+    @property
+    def outputs(self) -> FloatArray:
+        return self.samples[:, self.n_inputs :]
 
     def rows(self) -> list[slice]:
         """Slice of each record in the stacked samples."""
@@ -68,16 +75,26 @@ def stack(data: Data) -> Stack:
     for index, record in enumerate(records, start=1):
         _check(record, f"record {index}")
         _check_same(record, first, f"record {index}")
-    inputs, input_scale = _scaled([record.inputs for record in records])
-    outputs, output_scale = _scaled([record.outputs for record in records])
+    n_inputs, n_outputs = first.inputs.shape[1], first.outputs.shape[1]
+    lengths = tuple(len(record.inputs) for record in records)
+    samples, scale = np.empty((sum(lengths), n_inputs + n_outputs)), np.ones(n_inputs + n_outputs)
+    for signals, begin in (
+        ([record.inputs for record in records], 0),
+        ([record.outputs for record in records], n_inputs),
+    ):
+        signal = np.asarray(signals[0] if len(signals) == 1 else np.concatenate(signals), float)
+        # one channel at a time, which is many times faster than rows of a few channels
+        for channel, values in enumerate(signal.T, start=begin):
+            rms = np.sqrt(np.vecdot(values, values) / len(values))
+            scale[channel] = rms if rms > 0.0 else 1.0
+            np.divide(values, scale[channel], out=samples[:, channel])
     return Stack(
-        inputs=inputs,
-        outputs=outputs,
-        lengths=tuple(len(record.inputs) for record in records),
-        input_scale=input_scale,
-        output_scale=output_scale,
+        samples=samples,
+        lengths=lengths,
+        input_scale=scale[:n_inputs],
+        output_scale=scale[n_inputs:],
         sample_time=first.sample_time,
-        hold=first.hold or ("zero",) * inputs.shape[1],
+        hold=first.hold or ("zero",) * n_inputs,
         input_names=first.input_names,
         output_names=first.output_names,
     )
@@ -96,17 +113,6 @@ def remove_means(data: Data) -> tuple[InputOutput, ...]:
         )
         for record in records_of(data)
     )
-
-
-def _scaled(signals: list[FloatArray]) -> tuple[FloatArray, FloatArray]:
-    """Stacked signals divided by the root mean square of each channel, and these scales."""
-    stacked = np.concatenate(signals, dtype=np.float64)
-    # by contiguous channels, which is many times faster than along the first axis
-    channels = np.ascontiguousarray(stacked.T)
-    rms = np.sqrt(np.vecdot(channels, channels) / len(stacked))
-    scale = np.where(rms > 0.0, rms, 1.0)
-    channels /= scale[:, None]
-    return np.ascontiguousarray(channels.T), scale
 
 
 def _check(record: InputOutput, where: str) -> None:

@@ -127,7 +127,7 @@ class Factors:
 
     def __init__(self, data: Stack) -> None:
         self.data = data
-        records = _core.Innovations(1, data.inputs, data.outputs, data.lengths)
+        records = _core.Innovations(1, data.n_inputs, data.samples, data.lengths)
         self.by_horizon = cache(partial(_core.Subspace, records))
 
 

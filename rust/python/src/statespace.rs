@@ -87,8 +87,8 @@ fn entries(matrix: &PyReadonlyArray2<'_, f64>, shape: [usize; 2]) -> PyResult<Ve
 #[pyclass(frozen, module = "strainwave._core")]
 struct Innovations {
     shape: Shape,
-    inputs: Vec<f64>,
-    outputs: Vec<f64>,
+    /// Rows [u, y]; not copied.
+    samples: Py<PyArray2<f64>>,
     lengths: Vec<usize>,
 }
 
@@ -97,32 +97,31 @@ impl Innovations {
     #[new]
     fn new(
         order: usize,
-        inputs: PyReadonlyArray2<'_, f64>,
-        outputs: PyReadonlyArray2<'_, f64>,
+        n_inputs: usize,
+        samples: PyReadonlyArray2<'_, f64>,
         lengths: Vec<usize>,
     ) -> PyResult<Self> {
-        check_rows("inputs", inputs.shape()[0], &lengths)?;
-        check_rows("outputs", outputs.shape()[0], &lengths)?;
-        let shape = Shape {
-            order,
-            inputs: inputs.shape()[1],
-            outputs: outputs.shape()[1],
-        };
-        if order == 0 || shape.inputs == 0 || shape.outputs == 0 {
+        let [rows, width] = [samples.shape()[0], samples.shape()[1]];
+        let expected: usize = lengths.iter().sum();
+        if rows != expected {
             return Err(PyValueError::new_err(format!(
-                "expected a model, got {shape:?}"
+                "expected {expected} rows of samples, got {rows}"
             )));
         }
+        if order == 0 || n_inputs == 0 || n_inputs >= width {
+            return Err(PyValueError::new_err(format!(
+                "expected a model, got order {order} and {n_inputs} inputs of {width} channels"
+            )));
+        }
+        samples.as_slice().map_err(|_| not_contiguous("samples"))?;
+        let shape = Shape {
+            order,
+            inputs: n_inputs,
+            outputs: width - n_inputs,
+        };
         Ok(Self {
             shape,
-            inputs: inputs
-                .as_slice()
-                .map_err(|_| not_contiguous("inputs"))?
-                .to_vec(),
-            outputs: outputs
-                .as_slice()
-                .map_err(|_| not_contiguous("outputs"))?
-                .to_vec(),
+            samples: (*samples).clone().unbind(),
             lengths,
         })
     }
@@ -134,7 +133,7 @@ impl Innovations {
         values: PyReadonlyArray1<'py, f64>,
     ) -> PyResult<Bound<'py, PyArray2<f64>>> {
         let model = self.model(&values)?;
-        let e = py.detach(|| predictor::innovations(&model, &self.records()));
+        let e = self.with_records(py, |records| predictor::innovations(&model, records))?;
         let p = self.shape.outputs;
         let samples = e.len() / p;
         e.into_pyarray(py).reshape([samples, p])
@@ -148,13 +147,12 @@ impl Innovations {
         values: PyReadonlyArray1<'py, f64>,
     ) -> PyResult<Bound<'py, PyArray3<f64>>> {
         let model = self.model(&values)?;
-        let stacked = py.detach(|| {
-            let records = self.records();
+        let stacked = self.with_records(py, |records| {
             let parts = records.iter().enumerate();
             parts
                 .flat_map(|(index, r)| sensitivity::jacobian(&model, r, index))
                 .collect::<Vec<_>>()
-        });
+        })?;
         let (p, columns) = (self.shape.outputs, self.columns());
         let samples = stacked.len() / (p * columns);
         stacked.into_pyarray(py).reshape([samples, p, columns])
@@ -169,13 +167,12 @@ impl Innovations {
     ) -> PyResult<Bound<'py, PyArray2<f64>>> {
         let model = self.model(&values)?;
         let whitener = self.whitener(&whitener)?;
-        let stacked = py.detach(|| {
-            let records = self.records();
+        let stacked = self.with_records(py, |records| {
             let parts = records.iter().enumerate();
             parts
                 .flat_map(|(index, r)| sensitivity::scores(&model, r, index, &whitener))
                 .collect::<Vec<_>>()
-        });
+        })?;
         let columns = self.columns();
         let samples = stacked.len() / columns;
         stacked.into_pyarray(py).reshape([samples, columns])
@@ -191,8 +188,9 @@ impl Innovations {
     ) -> PyResult<(Bound<'py, PyArray2<f64>>, Bound<'py, PyArray1<f64>>)> {
         let model = self.model(&values)?;
         let whitener = self.whitener(&whitener)?;
-        let equations =
-            py.detach(|| sensitivity::normal_equations(&model, &self.records(), &whitener));
+        let equations = self.with_records(py, |records| {
+            sensitivity::normal_equations(&model, records, &whitener)
+        })?;
         let size = model.values.len();
         Ok((
             equations.hessian.into_pyarray(py).reshape([size, size])?,
@@ -217,7 +215,8 @@ impl Innovations {
         let entries = feedthrough
             .as_deref()
             .map_or(Entries::InitialStates, Entries::Plant);
-        let is_finite = py.detach(|| estimate(&mut model, &self.records(), entries, floor));
+        let is_finite =
+            self.with_records(py, |records| estimate(&mut model, records, entries, floor))?;
         Ok(is_finite.then(|| model.values.into_pyarray(py)))
     }
 
@@ -250,7 +249,7 @@ impl Innovations {
             max_iterations,
             tolerance,
         };
-        let ended = py.detach(|| fit(start, &self.records(), &options));
+        let ended = self.with_records(py, |records| fit(start, records, &options))?;
         match ended {
             Ok(fit) => Ok(InnovationsFit { fit }),
             Err(InvalidStart::Unstable) => Err(PyValueError::new_err(
@@ -264,8 +263,16 @@ impl Innovations {
 }
 
 impl Innovations {
-    fn records(&self) -> Vec<Record<'_>> {
-        split(self.shape, &self.inputs, &self.outputs, &self.lengths)
+    /// Calls a function with the records, without the GIL.
+    fn with_records<T: Send>(
+        &self,
+        py: Python<'_>,
+        work: impl FnOnce(&[Record<'_>]) -> T + Send,
+    ) -> PyResult<T> {
+        let samples = self.samples.bind(py).try_readonly()?;
+        let samples = samples.as_slice()?;
+        let records = split(self.shape, samples, &self.lengths);
+        Ok(py.detach(|| work(&records)))
     }
 
     fn columns(&self) -> usize {
@@ -324,12 +331,10 @@ impl Subspace {
     /// R of [u[k], z[k-1], ..., z[k-horizon], y[k]] and the number of rows of the data.
     fn regression<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyArray2<f64>>, usize)> {
         let data = self.data.get();
-        let (factor, rows) = py.detach(|| self.factors.regression(&data.records()));
+        let (factor, rows) =
+            data.with_records(py, |records| self.factors.regression(records).clone())?;
         let size = factor.len().isqrt();
-        Ok((
-            PyArray1::from_slice(py, factor).reshape([size, size])?,
-            *rows,
-        ))
+        Ok((factor.into_pyarray(py).reshape([size, size])?, rows))
     }
 
     /// Order, balanced model with zero initial states as values of `Innovations`, singular values.
@@ -362,8 +367,9 @@ impl Subspace {
             feedthrough: &feedthrough,
             floor,
         };
-        let (model, singular_values) =
-            py.detach(|| self.factors.realise(&data.records(), method, &options));
+        let (model, singular_values) = data.with_records(py, |records| {
+            self.factors.realise(records, method, &options)
+        })?;
         let values = model.values.into_pyarray(py);
         Ok((model.shape.order, values, singular_values.into_pyarray(py)))
     }
@@ -440,16 +446,6 @@ fn check_flags(flags: &[bool], shape: Shape) -> PyResult<()> {
         return Ok(());
     }
     Err(PyValueError::new_err("expected a flag per input"))
-}
-
-fn check_rows(name: &str, rows: usize, lengths: &[usize]) -> PyResult<()> {
-    let expected: usize = lengths.iter().sum();
-    if rows == expected {
-        return Ok(());
-    }
-    Err(PyValueError::new_err(format!(
-        "expected {expected} rows of {name}, got {rows}"
-    )))
 }
 
 /// The error for an array that is not contiguous.

@@ -14,42 +14,22 @@ pub const MIN_PIVOT_RATIO: f64 = 1e-6;
 ///
 /// Row k of a Hankel matrix Z is [z[k], z[k+1], ..., z[k+depth-1]] with samples z = [u, y]. Records
 /// contribute n_samples - depth + 1 rows each; shorter records contribute none.
-pub struct Hankel {
+pub struct Hankel<'a> {
     width: usize,
     depth: usize,
-    records: Vec<Samples>,
+    /// Samples (n_samples, width) and first block row (width, depth width) of Z'Z, by record.
+    records: Vec<(&'a [f64], Vec<f64>)>,
 }
 
-struct Samples {
-    /// (n_samples, width)
-    z: Vec<f64>,
-    /// First block row (width, depth width) of Z'Z.
-    first: Vec<f64>,
-}
-
-impl Hankel {
+impl<'a> Hankel<'a> {
     /// Correlations for Hankel matrices with at most `depth` samples in a row.
-    pub fn new(shape: Shape, records: &[Record<'_>], depth: usize) -> Self {
+    pub fn new(shape: Shape, records: &[Record<'a>], depth: usize) -> Self {
         let width = shape.inputs + shape.outputs;
         let records = records.iter().map(|record| {
-            let mut z = vec![0.0; record.len * width];
-            // by channels: copies of a few numbers take longer
-            let mut channel = 0;
-            for (values, count) in [
-                (record.inputs, shape.inputs),
-                (record.outputs, shape.outputs),
-            ] {
-                for first in 0..count {
-                    let source = values[first..].iter().step_by(count);
-                    let target = z[channel..].iter_mut().step_by(width);
-                    target.zip(source).for_each(|(z, value)| *z = *value);
-                    channel += 1;
-                }
-            }
             let mut first = vec![0.0; width * depth * width];
             let rows = (record.len + 1).saturating_sub(depth);
-            add_correlations(&mut first, &z, width, rows);
-            Samples { z, first }
+            add_correlations(&mut first, record.samples, width, rows);
+            (record.samples, first)
         });
         Self {
             width,
@@ -88,7 +68,7 @@ impl Hankel {
         let (width, size) = (self.width, depth * self.width);
         let mut total = vec![0.0; size * size];
         let mut count = 0;
-        for Samples { z, first } in &self.records {
+        for (z, first) in &self.records {
             let samples = z.len() / width;
             if samples < depth {
                 continue;
@@ -118,7 +98,7 @@ impl Hankel {
         let size = depth * self.width;
         let mut factor = TriangularFactor::new(size);
         let mut ordered = vec![0.0; size];
-        for Samples { z, .. } in &self.records {
+        for (z, _) in &self.records {
             for row in z.windows(size).step_by(self.width) {
                 for (entry, &column) in ordered.iter_mut().zip(order) {
                     *entry = row[column];
@@ -197,13 +177,8 @@ mod tests {
             .collect()
     }
 
-    fn correlations(data: &[f64], depth: usize) -> Hankel {
-        let column = |channels: std::ops::Range<usize>| -> Vec<f64> {
-            let samples = data.chunks_exact(WIDTH);
-            samples.flat_map(|z| z[channels.clone()].to_vec()).collect()
-        };
-        let (inputs, outputs) = (column(0..1), column(1..WIDTH));
-        Hankel::new(SHAPE, &split(SHAPE, &inputs, &outputs, &LENGTHS), depth)
+    fn correlations(data: &[f64], depth: usize) -> Hankel<'_> {
+        Hankel::new(SHAPE, &split(SHAPE, data, &LENGTHS), depth)
     }
 
     /// Z'Z by definition, of permuted columns.

@@ -15,13 +15,9 @@
 
 use crate::linalg::{cholesky, inverse, solve_lower};
 use crate::model::{Model, Record, Shape};
-use crate::predictor;
+use crate::predictor::{self, BLOCK, Predictor};
 use strainwave_numerics::products::{BASELINE_IS_FUSED, Part, Rows, add_products, multiply_add};
 use strainwave_numerics::singular;
-
-/// Samples whose rows are stored before their products are summed; they fit into the first-level
-/// cache.
-const BLOCK: usize = 64;
 
 /// Lanes of a vector with AVX-512; the states of all filters of an output side by side.
 const LANES: usize = 8;
@@ -243,10 +239,9 @@ impl Problem {
         let mut samples = Some(0);
         let parts = records.iter().enumerate().map(|(index, record)| {
             let mut filters = Filters::new(self, model, &whitening);
-            let mut errors = Vec::with_capacity(record.len * p);
-            predictor::append_innovations(model, record, index, &mut errors);
+            let predictor = Predictor::new(model, index);
             let mut products = vec![0.0; height * width];
-            let is_complete = filters.run(record.inputs, &errors, |data, stride, count| {
+            let is_complete = filters.run(record, predictor, |data, stride, count| {
                 let rows = |width| Rows {
                     data,
                     stride,
@@ -411,14 +406,15 @@ impl Filters {
     /// left out. Returns whether all rows are computed.
     fn run(
         &mut self,
-        inputs: &[f64],
-        errors: &[f64],
+        record: &Record<'_>,
+        mut predictor: Predictor<'_>,
         mut receive: impl FnMut(&[f64], usize, usize),
     ) -> bool {
-        let (m, p) = (self.shape.inputs, self.shape.outputs);
+        let (p, width) = (self.shape.outputs, self.shape.inputs + self.shape.outputs);
+        let mut innovations = vec![0.0; BLOCK * p];
         let mut rows = vec![0.0; BLOCK * self.stride];
-        let mut signals = vec![[0.0; LANES]; BLOCK];
-        for (u, e) in inputs.chunks(BLOCK * m).zip(errors.chunks(BLOCK * p)) {
+        let mut signals = vec![ZEROS; BLOCK];
+        for samples in record.samples.chunks(BLOCK * width) {
             if self.driven == 0 && largest(&self.states) <= self.decayed {
                 return false;
             }
@@ -428,55 +424,58 @@ impl Filters {
                     *value = 0.0;
                 }
             }
-            self.fill(u, e, &mut rows, &mut signals);
-            receive(&rows, self.stride, u.len() / m);
+            let count = samples.len() / width;
+            let e = &mut innovations[..count * p];
+            predictor.advance(samples, e);
+            self.fill(samples, e, &mut rows, &mut signals);
+            receive(&rows, self.stride, count);
         }
         true
     }
 
     /// Computes the rows of one block, with vectors if the processor has them (decided at run time
     /// on x86-64).
-    fn fill(&mut self, u: &[f64], e: &[f64], rows: &mut [f64], signals: &mut [Vector]) {
+    fn fill(&mut self, z: &[f64], e: &[f64], rows: &mut [f64], signals: &mut [Vector]) {
         #[cfg(target_arch = "x86_64")]
         if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
             if is_x86_feature_detected!("avx512f") {
                 // SAFETY: all features have just been detected.
-                return unsafe { self.fill_avx512(u, e, rows, signals) };
+                return unsafe { self.fill_avx512(z, e, rows, signals) };
             }
             // SAFETY: both features have just been detected.
-            return unsafe { self.fill_avx2(u, e, rows, signals) };
+            return unsafe { self.fill_avx2(z, e, rows, signals) };
         }
-        self.fill_body::<BASELINE_IS_FUSED>(u, e, rows, signals);
+        self.fill_body::<BASELINE_IS_FUSED>(z, e, rows, signals);
     }
 
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx2,fma,avx512f")]
-    fn fill_avx512(&mut self, u: &[f64], e: &[f64], rows: &mut [f64], signals: &mut [Vector]) {
-        self.fill_body::<true>(u, e, rows, signals);
+    fn fill_avx512(&mut self, z: &[f64], e: &[f64], rows: &mut [f64], signals: &mut [Vector]) {
+        self.fill_body::<true>(z, e, rows, signals);
     }
 
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx2,fma")]
-    fn fill_avx2(&mut self, u: &[f64], e: &[f64], rows: &mut [f64], signals: &mut [Vector]) {
-        self.fill_body::<true>(u, e, rows, signals);
+    fn fill_avx2(&mut self, z: &[f64], e: &[f64], rows: &mut [f64], signals: &mut [Vector]) {
+        self.fill_body::<true>(z, e, rows, signals);
     }
 
     /// Common orders are compile-time constants, so that their states stay in registers.
     #[inline(always)]
     fn fill_body<const FUSED: bool>(
         &mut self,
-        u: &[f64],
+        z: &[f64],
         e: &[f64],
         rows: &mut [f64],
         signals: &mut [Vector],
     ) {
         match self.shape.order {
-            2 => self.samples::<FUSED, _>([ZEROS; 2], u, e, rows, signals),
-            3 => self.samples::<FUSED, _>([ZEROS; 3], u, e, rows, signals),
-            4 => self.samples::<FUSED, _>([ZEROS; 4], u, e, rows, signals),
-            5 => self.samples::<FUSED, _>([ZEROS; 5], u, e, rows, signals),
-            6 => self.samples::<FUSED, _>([ZEROS; 6], u, e, rows, signals),
-            n => self.samples::<FUSED, _>(vec![ZEROS; n], u, e, rows, signals),
+            2 => self.samples::<FUSED, _>([ZEROS; 2], z, e, rows, signals),
+            3 => self.samples::<FUSED, _>([ZEROS; 3], z, e, rows, signals),
+            4 => self.samples::<FUSED, _>([ZEROS; 4], z, e, rows, signals),
+            5 => self.samples::<FUSED, _>([ZEROS; 5], z, e, rows, signals),
+            6 => self.samples::<FUSED, _>([ZEROS; 6], z, e, rows, signals),
+            n => self.samples::<FUSED, _>(vec![ZEROS; n], z, e, rows, signals),
         }
     }
 
@@ -485,12 +484,12 @@ impl Filters {
     fn samples<const FUSED: bool, S: AsMut<[Vector]> + Clone>(
         &mut self,
         mut states: S,
-        u: &[f64],
+        z: &[f64],
         e: &[f64],
         rows: &mut [f64],
         signals: &mut [Vector],
     ) {
-        let (m, p) = (self.shape.inputs, self.shape.outputs);
+        let (p, width) = (self.shape.outputs, self.shape.inputs + self.shape.outputs);
         let mut next = states.clone();
         let (states, next) = (states.as_mut(), next.as_mut());
         let n = states.len();
@@ -498,7 +497,7 @@ impl Filters {
             for lane in 0..LANES {
                 let j = (vector * LANES + lane) % (self.driven + 1);
                 if j < self.driven {
-                    let inputs = u[j..].iter().step_by(m);
+                    let inputs = z[j..].iter().step_by(width);
                     signals
                         .iter_mut()
                         .zip(inputs)
@@ -508,7 +507,7 @@ impl Filters {
             let drive = &self.drive[vector * n..][..n];
             let stored = &mut self.states[vector * n..][..n];
             states.copy_from_slice(stored);
-            let samples = rows.chunks_exact_mut(self.stride).take(u.len() / m);
+            let samples = rows.chunks_exact_mut(self.stride).take(e.len() / p);
             for (row, signal) in samples.zip(signals.iter()) {
                 // the unused lanes of a state are zero, and the next state replaces them
                 for i in 0..n {
@@ -536,7 +535,7 @@ impl Filters {
         let first_error = first_input + self.direct.len();
         for (index, &j) in self.direct.iter().enumerate() {
             let targets = rows[first_input + index..].iter_mut().step_by(self.stride);
-            let inputs = u[j..].iter().step_by(m);
+            let inputs = z[j..].iter().step_by(width);
             targets.zip(inputs).for_each(|(row, u)| *row = *u);
         }
         for o in 0..p {
@@ -595,11 +594,9 @@ mod tests {
             - 0.5
     }
 
-    fn signal(width: usize, offset: usize) -> Vec<f64> {
-        let samples: usize = LENGTHS.iter().sum();
-        (0..samples * width)
-            .map(|k| number(1000 * offset + k))
-            .collect()
+    fn samples(shape: Shape) -> Vec<f64> {
+        let count = LENGTHS.iter().sum::<usize>() * (shape.inputs + shape.outputs);
+        (0..count).map(|k| number(1000 + k)).collect()
     }
 
     fn model([order, inputs, outputs]: [usize; 3]) -> Model {
@@ -622,8 +619,8 @@ mod tests {
         for shape in SHAPES {
             let start = model(shape);
             let [n, m, p] = shape;
-            let (u, y) = (signal(m, 1), signal(p, 7));
-            let records = split(start.shape, &u, &y, &LENGTHS);
+            let samples = samples(start.shape);
+            let records = split(start.shape, &samples, &LENGTHS);
             let flags: Vec<bool> = (0..m).map(|j| j % 2 == 0).collect();
             for entries in [
                 Entries::Plant(&flags),
@@ -662,10 +659,9 @@ mod tests {
         start
             .values
             .copy_within(shape.c().start..shape.c().start + 2, shape.c().start + 2);
-        let column = signal(1, 3);
-        let y: Vec<f64> = column.iter().flat_map(|&y| [y, y]).collect();
-        let u = signal(1, 9);
-        let records = split(shape, &u, &y, &LENGTHS);
+        let mut samples = samples(shape);
+        samples.chunks_exact_mut(3).for_each(|z| z[2] = z[1]);
+        let records = split(shape, &samples, &LENGTHS);
         let entries = Entries::Plant(&[true]);
         let mut first = start.clone();
         assert!(estimate(&mut first, &records, entries, None));
@@ -680,8 +676,8 @@ mod tests {
     fn overflowing_predictor_has_no_estimate() {
         let mut unstable = model([2, 1, 1]);
         unstable.values[unstable.shape.a()].copy_from_slice(&[40.0, 0.0, 0.0, 40.0]);
-        let (u, y) = (signal(1, 1), signal(1, 2));
-        let records = split(unstable.shape, &u, &y, &LENGTHS);
+        let samples = samples(unstable.shape);
+        let records = split(unstable.shape, &samples, &LENGTHS);
         assert!(!estimate(
             &mut unstable,
             &records,
@@ -698,8 +694,8 @@ mod tests {
             .iter_mut()
             .for_each(|entry| *entry *= 0.3);
         start.values[start.shape.k()].fill(0.0);
-        let (u, y) = (signal(2, 1), signal(2, 7));
-        let records = split(start.shape, &u, &y, &LENGTHS);
+        let samples = samples(start.shape);
+        let records = split(start.shape, &samples, &LENGTHS);
         let problem = Problem::new(&start, 2, Entries::InitialStates);
         assert!(
             problem

@@ -3,111 +3,99 @@
 use crate::model::{Model, Record, Shape};
 use strainwave_numerics::products::{BASELINE_IS_FUSED, multiply_add};
 
-/// Samples of a block; its signals and states fit into the first-level cache.
-const BLOCK: usize = 64;
+/// Largest number of samples of a block; its signals and states fit into the first-level cache.
+pub const BLOCK: usize = 64;
 
 /// Values of one channel or state in a block.
 type Signal = [f64; BLOCK];
 
-/// Appends the innovations e[k] = y[k] - C x[k] - D u[k] of record `index` to `innovations`.
+/// One-step predictor of one record.
 ///
 /// The states follow from x[k+1] = (A - K C) x[k] + (B - K D) u[k] + K y[k]: only the product with
 /// A - K C waits for the previous sample.
-pub fn append_innovations(
-    model: &Model,
-    record: &Record<'_>,
-    index: usize,
-    innovations: &mut Vec<f64>,
-) {
-    let Shape {
-        order: n,
-        inputs: m,
-        outputs: p,
-    } = model.shape;
-    let mut of_inputs = model.b().to_vec();
-    for (i, j) in (0..n * m).map(|at| (at / m, at % m)) {
-        for o in 0..p {
-            of_inputs[i * m + j] -= model.k()[i * p + o] * model.d()[o * m + j];
-        }
-    }
-    let mut run = Run {
-        model,
-        closed: model.predictor_matrix(),
-        of_inputs,
-        channels: vec![[0.0; BLOCK]; m + p],
-        states: vec![[0.0; BLOCK]; n],
-        x: model.initial_state(index).to_vec(),
-    };
-    let first = innovations.len();
-    innovations.resize(first + record.len * p, 0.0);
-    let outputs = record.outputs.chunks(BLOCK * p);
-    let targets = innovations[first..].chunks_mut(BLOCK * p);
-    for ((u, y), e) in record.inputs.chunks(BLOCK * m).zip(outputs).zip(targets) {
-        run.block(u, y, e);
-    }
-}
-
-struct Run<'a> {
+pub struct Predictor<'a> {
     model: &'a Model,
-    /// A - K C and B - K D.
+    /// A - K C, and the factors [B - K D, K] of a sample.
     closed: Vec<f64>,
-    of_inputs: Vec<f64>,
+    of_samples: Vec<f64>,
     /// Inputs and outputs; the latter become innovations.
     channels: Vec<Signal>,
     states: Vec<Signal>,
     x: Vec<f64>,
 }
 
-impl Run<'_> {
-    /// Computes the innovations of one block, with vectors if the processor has them (decided at run
-    /// time on x86-64).
-    fn block(&mut self, u: &[f64], y: &[f64], e: &mut [f64]) {
+impl<'a> Predictor<'a> {
+    /// The predictor at the first sample of record `index`.
+    pub fn new(model: &'a Model, index: usize) -> Self {
+        let Shape {
+            order: n,
+            inputs: m,
+            outputs: p,
+        } = model.shape;
+        let mut of_samples = Vec::with_capacity(n * (m + p));
+        for i in 0..n {
+            let gain = &model.k()[i * p..][..p];
+            for j in 0..m {
+                let through_outputs = (0..p).map(|o| gain[o] * model.d()[o * m + j]);
+                of_samples.push(model.b()[i * m + j] - through_outputs.sum::<f64>());
+            }
+            of_samples.extend_from_slice(gain);
+        }
+        Self {
+            model,
+            closed: model.predictor_matrix(),
+            of_samples,
+            channels: vec![[0.0; BLOCK]; m + p],
+            states: vec![[0.0; BLOCK]; n],
+            x: model.initial_state(index).to_vec(),
+        }
+    }
+
+    /// Innovations e[k] = y[k] - C x[k] - D u[k] of the next samples, at most [`BLOCK`].
+    ///
+    /// Uses vectors if the processor has them, decided at run time on x86-64.
+    pub fn advance(&mut self, samples: &[f64], e: &mut [f64]) {
         #[cfg(target_arch = "x86_64")]
         if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
             // SAFETY: both features have just been detected.
-            return unsafe { self.block_avx2(u, y, e) };
+            return unsafe { self.block_avx2(samples, e) };
         }
-        self.block_body::<BASELINE_IS_FUSED>(u, y, e);
+        self.block::<BASELINE_IS_FUSED>(samples, e);
     }
 
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx2,fma")]
-    fn block_avx2(&mut self, u: &[f64], y: &[f64], e: &mut [f64]) {
-        self.block_body::<true>(u, y, e);
+    fn block_avx2(&mut self, samples: &[f64], e: &mut [f64]) {
+        self.block::<true>(samples, e);
     }
 
     #[inline(always)]
-    fn block_body<const FUSED: bool>(&mut self, u: &[f64], y: &[f64], e: &mut [f64]) {
+    fn block<const FUSED: bool>(&mut self, samples: &[f64], e: &mut [f64]) {
         let Shape {
             order: n,
             inputs: m,
             outputs: p,
         } = self.model.shape;
-        let (inputs, outputs) = self.channels.split_at_mut(m);
-        for (source, channels) in [(u, &mut *inputs), (y, &mut *outputs)] {
-            let count = channels.len();
-            for (j, channel) in channels.iter_mut().enumerate() {
-                let values = source[j..].iter().step_by(count);
-                channel.iter_mut().zip(values).for_each(|(c, v)| *c = *v);
-            }
+        for (j, channel) in self.channels.iter_mut().enumerate() {
+            let values = samples[j..].iter().step_by(m + p);
+            channel.iter_mut().zip(values).for_each(|(c, v)| *c = *v);
         }
-        let k = self.model.k();
-        for (i, state) in self.states.iter_mut().enumerate() {
+        let factors = self.of_samples.chunks_exact(m + p);
+        for (state, factors) in self.states.iter_mut().zip(factors) {
             state.fill(0.0);
-            let weights = self.of_inputs[i * m..][..m].iter().chain(&k[i * p..][..p]);
-            for (&weight, channel) in weights.zip(inputs.iter().chain(&*outputs)) {
-                add_scaled::<FUSED>(state, weight, channel);
+            for (&factor, channel) in factors.iter().zip(&self.channels) {
+                add_scaled::<FUSED>(state, factor, channel);
             }
         }
-        let samples = u.len() / m;
+        let count = e.len() / p;
         // Common orders are compile-time constants, so that the state stays in registers.
         match n {
-            2 => self.advance::<FUSED, _>([0.0; 2], samples),
-            3 => self.advance::<FUSED, _>([0.0; 3], samples),
-            4 => self.advance::<FUSED, _>([0.0; 4], samples),
-            5 => self.advance::<FUSED, _>([0.0; 5], samples),
-            6 => self.advance::<FUSED, _>([0.0; 6], samples),
-            _ => self.advance::<FUSED, _>(vec![0.0; n], samples),
+            2 => self.propagate::<FUSED, _>([0.0; 2], count),
+            3 => self.propagate::<FUSED, _>([0.0; 3], count),
+            4 => self.propagate::<FUSED, _>([0.0; 4], count),
+            5 => self.propagate::<FUSED, _>([0.0; 5], count),
+            6 => self.propagate::<FUSED, _>([0.0; 6], count),
+            _ => self.propagate::<FUSED, _>(vec![0.0; n], count),
         }
         let (inputs, outputs) = self.channels.split_at_mut(m);
         for (o, error) in outputs.iter_mut().enumerate() {
@@ -124,12 +112,12 @@ impl Run<'_> {
 
     /// Replaces what drives the states by the states; `x` is storage for one of them.
     #[inline(always)]
-    fn advance<const FUSED: bool, X: AsMut<[f64]> + Clone>(&mut self, mut x: X, samples: usize) {
+    fn propagate<const FUSED: bool, X: AsMut<[f64]> + Clone>(&mut self, mut x: X, count: usize) {
         let mut next = x.clone();
         let (x, next) = (x.as_mut(), next.as_mut());
         let n = x.len();
         x.copy_from_slice(&self.x);
-        for t in 0..samples {
+        for t in 0..count {
             for i in 0..n {
                 let mut sum = std::mem::replace(&mut self.states[i][t], x[i]);
                 for l in 0..n {
@@ -152,10 +140,18 @@ fn add_scaled<const FUSED: bool>(target: &mut Signal, weight: f64, source: &Sign
 
 /// Innovations of every record, stacked: (n_samples, p), row-major.
 pub fn innovations(model: &Model, records: &[Record<'_>]) -> Vec<f64> {
+    let (m, p) = (model.shape.inputs, model.shape.outputs);
     let total: usize = records.iter().map(|record| record.len).sum();
-    let mut stacked = Vec::with_capacity(total * model.shape.outputs);
+    let mut stacked = vec![0.0; total * p];
+    let mut rest = &mut stacked[..];
     for (index, record) in records.iter().enumerate() {
-        append_innovations(model, record, index, &mut stacked);
+        let mut predictor = Predictor::new(model, index);
+        let (target, later) = rest.split_at_mut(record.len * p);
+        rest = later;
+        let blocks = record.samples.chunks(BLOCK * (m + p));
+        for (samples, e) in blocks.zip(target.chunks_mut(BLOCK * p)) {
+            predictor.advance(samples, e);
+        }
     }
     stacked
 }
@@ -202,9 +198,8 @@ mod tests {
                 shape,
                 values: values.collect(),
             };
-            let signal = |width: usize| (0..215 * width).map(number).collect::<Vec<_>>();
-            let (u, y) = (signal(2), signal(3));
-            let records = split(shape, &u, &y, &lengths);
+            let samples: Vec<f64> = (0..215 * 5).map(number).collect();
+            let records = split(shape, &samples, &lengths);
             let mut expected = vec![];
             let product = |matrix: &[f64], x: &[f64], i: usize| -> f64 {
                 let row = &matrix[i * x.len()..][..x.len()];
@@ -212,7 +207,7 @@ mod tests {
             };
             for (index, record) in records.iter().enumerate() {
                 let mut x = model.initial_state(index).to_vec();
-                for (u, y) in record.inputs.chunks(2).zip(record.outputs.chunks(3)) {
+                for (u, y) in record.samples.chunks(5).map(|z| z.split_at(2)) {
                     let error = |o| y[o] - product(model.c(), &x, o) - product(model.d(), u, o);
                     let e: Vec<f64> = (0..3).map(error).collect();
                     let next = |i| {
@@ -244,8 +239,7 @@ mod tests {
             shape,
             values: vec![0.5, 2.0, 1.0, 0.25, 0.1, 3.0],
         };
-        let (u, y) = ([1.0, -1.0], [4.0, 0.0]);
-        let e = innovations(&model, &split(shape, &u, &y, &[2]));
+        let e = innovations(&model, &split(shape, &[1.0, 4.0, -1.0, 0.0], &[2]));
         let first = 4.0 - 3.0 - 0.25;
         let state = 0.5 * 3.0 + 2.0 + 0.1 * first;
         let expected = [first, 0.0 - state + 0.25];

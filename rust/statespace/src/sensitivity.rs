@@ -14,7 +14,7 @@
 
 use crate::linalg::solve_lower;
 use crate::model::{Model, Record, Shape};
-use crate::predictor::append_innovations;
+use crate::predictor::Predictor;
 use strainwave_numerics::products::{BASELINE_IS_FUSED, Part, Rows, add_products, multiply_add};
 
 /// Number of samples whose derivatives are stored before they are summed; they fit into the
@@ -267,13 +267,14 @@ impl<'a> Filters<'a> {
             outputs: p,
             ..
         } = self.model.shape;
-        let mut innovations = Vec::with_capacity(record.len * p);
-        append_innovations(self.model, record, self.index, &mut innovations);
+        let mut predictor = Predictor::new(self.model, self.index);
+        let mut innovations = vec![0.0; BLOCK * p];
         let mut rows = vec![0.0; BLOCK * p * self.row.stride];
-        let inputs = record.inputs.chunks(BLOCK * m);
-        for (u, e) in inputs.zip(innovations.chunks(BLOCK * p)) {
+        for samples in record.samples.chunks(BLOCK * (m + p)) {
+            let e = &mut innovations[..samples.len() / (m + p) * p];
+            predictor.advance(samples, e);
             self.clear_decayed_states();
-            self.fill(u, e, &mut rows);
+            self.fill(samples, e, &mut rows);
             receive(&rows[..e.len() * self.row.stride], e.len());
         }
     }
@@ -295,32 +296,32 @@ impl<'a> Filters<'a> {
 
     /// Computes the rows of one block, with vector instructions if the processor has them (decided
     /// at run time on x86-64).
-    fn fill(&mut self, u: &[f64], e: &[f64], rows: &mut [f64]) {
+    fn fill(&mut self, z: &[f64], e: &[f64], rows: &mut [f64]) {
         #[cfg(target_arch = "x86_64")]
         if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
             // SAFETY: both features have just been detected.
-            return unsafe { self.fill_avx2(u, e, rows) };
+            return unsafe { self.fill_avx2(z, e, rows) };
         }
-        self.fill_body::<BASELINE_IS_FUSED>(u, e, rows);
+        self.fill_body::<BASELINE_IS_FUSED>(z, e, rows);
     }
 
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx2,fma")]
-    fn fill_avx2(&mut self, u: &[f64], e: &[f64], rows: &mut [f64]) {
-        self.fill_body::<true>(u, e, rows);
+    fn fill_avx2(&mut self, z: &[f64], e: &[f64], rows: &mut [f64]) {
+        self.fill_body::<true>(z, e, rows);
     }
 
     /// Common sizes are compile-time constants, so that their loops are unrolled.
     #[inline(always)]
-    fn fill_body<const FUSED: bool>(&mut self, u: &[f64], e: &[f64], rows: &mut [f64]) {
+    fn fill_body<const FUSED: bool>(&mut self, z: &[f64], e: &[f64], rows: &mut [f64]) {
         let shape = self.model.shape;
         match (shape.order, shape.inputs, shape.outputs) {
-            (2, 2, 2) => self.samples::<FUSED, 2, 2, 2>(u, e, rows),
-            (3, 2, 2) => self.samples::<FUSED, 3, 2, 2>(u, e, rows),
-            (4, 2, 2) => self.samples::<FUSED, 4, 2, 2>(u, e, rows),
-            (5, 2, 2) => self.samples::<FUSED, 5, 2, 2>(u, e, rows),
-            (6, 2, 2) => self.samples::<FUSED, 6, 2, 2>(u, e, rows),
-            _ => self.samples::<FUSED, 0, 0, 0>(u, e, rows),
+            (2, 2, 2) => self.samples::<FUSED, 2, 2, 2>(z, e, rows),
+            (3, 2, 2) => self.samples::<FUSED, 3, 2, 2>(z, e, rows),
+            (4, 2, 2) => self.samples::<FUSED, 4, 2, 2>(z, e, rows),
+            (5, 2, 2) => self.samples::<FUSED, 5, 2, 2>(z, e, rows),
+            (6, 2, 2) => self.samples::<FUSED, 6, 2, 2>(z, e, rows),
+            _ => self.samples::<FUSED, 0, 0, 0>(z, e, rows),
         }
     }
 
@@ -329,7 +330,7 @@ impl<'a> Filters<'a> {
     #[inline(always)]
     fn samples<const FUSED: bool, const N: usize, const M: usize, const P: usize>(
         &mut self,
-        u: &[f64],
+        z: &[f64],
         e: &[f64],
         rows: &mut [f64],
     ) {
@@ -342,10 +343,11 @@ impl<'a> Filters<'a> {
             },
         };
         let row = Row::new(shape);
-        let samples = u
-            .chunks_exact(shape.inputs)
+        let samples = z
+            .chunks_exact(shape.inputs + shape.outputs)
             .zip(e.chunks_exact(shape.outputs));
-        for ((u, e), rows) in samples.zip(rows.chunks_exact_mut(shape.outputs * row.stride)) {
+        for ((z, e), rows) in samples.zip(rows.chunks_exact_mut(shape.outputs * row.stride)) {
+            let u = &z[..shape.inputs];
             self.emit::<FUSED>(row, u, e, rows);
             self.step::<FUSED>(row, u, e);
         }

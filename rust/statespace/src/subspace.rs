@@ -105,7 +105,7 @@ impl Subspace {
         })
     }
 
-    fn regression_of(&self, hankel: &Hankel) -> (Vec<f64>, usize) {
+    fn regression_of(&self, hankel: &Hankel<'_>) -> (Vec<f64>, usize) {
         let (m, width, now) = (self.shape.inputs, self.width(), self.past * self.width());
         let lags = (0..self.past)
             .rev()
