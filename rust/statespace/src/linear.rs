@@ -493,7 +493,9 @@ impl Filters {
         let mut next = states.clone();
         let (states, next) = (states.as_mut(), next.as_mut());
         let n = states.len();
-        for vector in 0..self.vectors {
+        // The unused lanes of a state are zero. They end in the columns of the next state or of the
+        // inputs, which are written afterwards: the last vector comes first.
+        for vector in (0..self.vectors).rev() {
             for lane in 0..LANES {
                 let j = (vector * LANES + lane) % (self.driven + 1);
                 if j < self.driven {
@@ -509,7 +511,6 @@ impl Filters {
             states.copy_from_slice(stored);
             let samples = rows.chunks_exact_mut(self.stride).take(e.len() / p);
             for (row, signal) in samples.zip(signals.iter()) {
-                // the unused lanes of a state are zero, and the next state replaces them
                 for i in 0..n {
                     let target = &mut row[vector * LANES + i * self.filters..][..LANES];
                     target.copy_from_slice(&states[i]);
@@ -584,7 +585,15 @@ mod tests {
     use crate::model::split;
     use crate::sensitivity;
 
-    const SHAPES: [[usize; 3]; 4] = [[3, 2, 2], [2, 1, 3], [7, 3, 1], [1, 1, 1]];
+    /// The last shapes have more filters than lanes.
+    const SHAPES: [[usize; 3]; 6] = [
+        [3, 2, 2],
+        [2, 1, 3],
+        [7, 3, 1],
+        [1, 1, 1],
+        [4, 2, 3],
+        [2, 4, 4],
+    ];
     const LENGTHS: [usize; 2] = [170, 95];
 
     /// Pseudo-random number between -1/2 and 1/2.

@@ -11,42 +11,25 @@ type Signal = [f64; BLOCK];
 
 /// One-step predictor of one record.
 ///
-/// The states follow from x[k+1] = (A - K C) x[k] + (B - K D) u[k] + K y[k]: only the product with
-/// A - K C waits for the previous sample.
+/// The products with inputs are computed first, for a whole block in vectors. K multiplies the
+/// innovations rather than the outputs, because a large K would multiply the rounding of the latter.
 pub struct Predictor<'a> {
     model: &'a Model,
-    /// A - K C, and the factors [B - K D, K] of a sample.
-    closed: Vec<f64>,
-    of_samples: Vec<f64>,
-    /// Inputs and outputs; the latter become innovations.
+    /// Inputs, and outputs without D u.
     channels: Vec<Signal>,
-    states: Vec<Signal>,
+    /// B u.
+    drive: Vec<Signal>,
     x: Vec<f64>,
 }
 
 impl<'a> Predictor<'a> {
     /// The predictor at the first sample of record `index`.
     pub fn new(model: &'a Model, index: usize) -> Self {
-        let Shape {
-            order: n,
-            inputs: m,
-            outputs: p,
-        } = model.shape;
-        let mut of_samples = Vec::with_capacity(n * (m + p));
-        for i in 0..n {
-            let gain = &model.k()[i * p..][..p];
-            for j in 0..m {
-                let through_outputs = (0..p).map(|o| gain[o] * model.d()[o * m + j]);
-                of_samples.push(model.b()[i * m + j] - through_outputs.sum::<f64>());
-            }
-            of_samples.extend_from_slice(gain);
-        }
+        let shape = model.shape;
         Self {
             model,
-            closed: model.predictor_matrix(),
-            of_samples,
-            channels: vec![[0.0; BLOCK]; m + p],
-            states: vec![[0.0; BLOCK]; n],
+            channels: vec![[0.0; BLOCK]; shape.inputs + shape.outputs],
+            drive: vec![[0.0; BLOCK]; shape.order],
             x: model.initial_state(index).to_vec(),
         }
     }
@@ -80,52 +63,62 @@ impl<'a> Predictor<'a> {
             let values = samples[j..].iter().step_by(m + p);
             channel.iter_mut().zip(values).for_each(|(c, v)| *c = *v);
         }
-        let factors = self.of_samples.chunks_exact(m + p);
-        for (state, factors) in self.states.iter_mut().zip(factors) {
-            state.fill(0.0);
-            for (&factor, channel) in factors.iter().zip(&self.channels) {
-                add_scaled::<FUSED>(state, factor, channel);
-            }
-        }
-        let count = e.len() / p;
-        // Common orders are compile-time constants, so that the state stays in registers.
-        match n {
-            2 => self.propagate::<FUSED, _>([0.0; 2], count),
-            3 => self.propagate::<FUSED, _>([0.0; 3], count),
-            4 => self.propagate::<FUSED, _>([0.0; 4], count),
-            5 => self.propagate::<FUSED, _>([0.0; 5], count),
-            6 => self.propagate::<FUSED, _>([0.0; 6], count),
-            _ => self.propagate::<FUSED, _>(vec![0.0; n], count),
-        }
         let (inputs, outputs) = self.channels.split_at_mut(m);
-        for (o, error) in outputs.iter_mut().enumerate() {
-            for (weight, input) in self.model.d()[o * m..][..m].iter().zip(&*inputs) {
-                add_scaled::<FUSED>(error, -weight, input);
+        for (drive, factors) in self.drive.iter_mut().zip(self.model.b().chunks_exact(m)) {
+            drive.fill(0.0);
+            for (&factor, input) in factors.iter().zip(&*inputs) {
+                add_scaled::<FUSED>(drive, factor, input);
             }
-            for (weight, state) in self.model.c()[o * n..][..n].iter().zip(&self.states) {
-                add_scaled::<FUSED>(error, -weight, state);
+        }
+        for (output, factors) in outputs.iter_mut().zip(self.model.d().chunks_exact(m)) {
+            for (factor, input) in factors.iter().zip(&*inputs) {
+                add_scaled::<FUSED>(output, -factor, input);
             }
-            let targets = e[o..].iter_mut().step_by(p);
-            targets.zip(&*error).for_each(|(e, error)| *e = *error);
+        }
+        // Common sizes are compile-time constants, so that the state stays in registers.
+        match (n, p) {
+            (2, 2) => self.propagate::<FUSED, _, _>([0.0; 2], [0.0; 2], e),
+            (3, 2) => self.propagate::<FUSED, _, _>([0.0; 3], [0.0; 2], e),
+            (4, 2) => self.propagate::<FUSED, _, _>([0.0; 4], [0.0; 2], e),
+            (5, 2) => self.propagate::<FUSED, _, _>([0.0; 5], [0.0; 2], e),
+            (6, 2) => self.propagate::<FUSED, _, _>([0.0; 6], [0.0; 2], e),
+            _ => self.propagate::<FUSED, _, _>(vec![0.0; n], vec![0.0; p], e),
         }
     }
 
-    /// Replaces what drives the states by the states; `x` is storage for one of them.
+    /// Innovations from the products with inputs; `x` and `error` are storage for a state and an
+    /// innovation.
     #[inline(always)]
-    fn propagate<const FUSED: bool, X: AsMut<[f64]> + Clone>(&mut self, mut x: X, count: usize) {
+    fn propagate<const FUSED: bool, X: AsMut<[f64]> + Clone, E: AsMut<[f64]>>(
+        &mut self,
+        mut x: X,
+        mut error: E,
+        innovations: &mut [f64],
+    ) {
         let mut next = x.clone();
-        let (x, next) = (x.as_mut(), next.as_mut());
-        let n = x.len();
+        let (x, next, error) = (x.as_mut(), next.as_mut(), error.as_mut());
+        let (n, p) = (x.len(), error.len());
+        let (a, c, k) = (self.model.a(), self.model.c(), self.model.k());
+        let outputs = &self.channels[self.model.shape.inputs..];
         x.copy_from_slice(&self.x);
-        for t in 0..count {
-            for i in 0..n {
-                let mut sum = std::mem::replace(&mut self.states[i][t], x[i]);
+        for (t, e) in innovations.chunks_exact_mut(p).enumerate() {
+            for o in 0..p {
+                error[o] = outputs[o][t];
                 for l in 0..n {
-                    sum = multiply_add::<FUSED>(self.closed[i * n + l], x[l], sum);
+                    error[o] = multiply_add::<FUSED>(-c[o * n + l], x[l], error[o]);
                 }
-                next[i] = sum;
+            }
+            for i in 0..n {
+                next[i] = self.drive[i][t];
+                for l in 0..n {
+                    next[i] = multiply_add::<FUSED>(a[i * n + l], x[l], next[i]);
+                }
+                for o in 0..p {
+                    next[i] = multiply_add::<FUSED>(k[i * p + o], error[o], next[i]);
+                }
             }
             x.copy_from_slice(next);
+            e.copy_from_slice(error);
         }
         self.x.copy_from_slice(x);
     }
