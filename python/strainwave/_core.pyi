@@ -13,14 +13,15 @@ __all__ = [
     "Innovations",
     "InnovationsFit",
     "LoadStream",
+    "Subspace",
+    "balancing",
     "gear_laws",
-    "gramian",
-    "hankel_gram",
-    "innovations_gain",
+    "is_stable",
     "joint_effects",
     "parameter_table",
     "reduce",
     "residual_products_without_blocks",
+    "stabilising_gain",
     "symmetric_filter",
     "triangular_factor",
     "weighted_factor",
@@ -286,47 +287,41 @@ def weighted_factor(
     Raises ValueError for sizes that do not fit and arrays that are not contiguous.
     """
 
-def hankel_gram(
-    inputs: NDArray[np.float64],
-    outputs: NDArray[np.float64],
-    lengths: Sequence[int],
-    depth: int,
-    order: Sequence[int],
-) -> tuple[NDArray[np.float64], int]:
-    """Z'Z of the block-Hankel matrix Z of stacked records z = [u, y], and the number of its rows.
+def balancing(
+    a: NDArray[np.float64],
+    b: NDArray[np.float64],
+    c: NDArray[np.float64],
+    k: NDArray[np.float64],
+) -> NDArray[np.float64] | None:
+    """State transformation that balances the predictor (A - K C, [B, K], C).
 
-    `order`: Permutation of the columns of Z.
+    None if the predictor is unstable or one of its Gramians is singular.
     """
 
-def gramian(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
-    """X = A X A' + B B' for stable A."""
-
-def innovations_gain(
+def stabilising_gain(
     a: NDArray[np.float64],
     c: NDArray[np.float64],
-    state: NDArray[np.float64],
-    cross: NDArray[np.float64],
-    output: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
-    """Gain K of the steady-state Kalman predictor and covariance of its innovations.
+    k: NDArray[np.float64],
+    covariance: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """K, or the gain of a stable predictor with the same noise spectrum if A - K C is unstable."""
 
-    The noise of x+ = A x + w, y = C x + v has the covariance [state cross; cross' output]. None if
-    the equations have no solution.
-    """
+def is_stable(matrix: NDArray[np.float64]) -> bool:
+    """Whether all eigenvalues are inside the unit circle, by more than 1e-12."""
 
 @final
 class Innovations:
     """Stacked records and the sizes of a model for them.
 
-    `values` are A, B, C, D, K row by row and one initial state a record. A `whitener` L is the
+    `samples` are rows of inputs and outputs, contiguous, which are not copied. `values` are A, B, C, D, K row by row and one initial state a record. A `whitener` L is the
     lower factor of the innovations' covariance. Sizes that do not fit raise ValueError.
     """
 
     def __new__(
         cls,
         order: int,
-        inputs: NDArray[np.float64],
-        outputs: NDArray[np.float64],
+        n_inputs: int,
+        samples: NDArray[np.float64],
         lengths: Sequence[int],
     ) -> Innovations: ...
     def residuals(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -341,16 +336,20 @@ class Innovations:
     ) -> NDArray[np.float64]:
         """E' W (d e / d values) of every sample, W^-1 = L L': (n_samples, n_entries + order)."""
     def normal_equations(
+        self, values: NDArray[np.float64], whitener: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """J'WJ and J'We with respect to `values`, W^-1 = L L'."""
+    def linear(
         self,
         values: NDArray[np.float64],
-        whitener: NDArray[np.float64],
-        entries: Literal["all", "linear", "without-feedthrough", "initial-states"],
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """J'WJ and J'We with respect to `values`, W^-1 = L L'.
+        feedthrough: Sequence[bool] | None,
+        floor: float | None,
+    ) -> NDArray[np.float64] | None:
+        """`values` with B, D and the initial states by linear least squares.
 
-        `entries`: "linear" computes the sums for B, D and the initial states only,
-        "without-feedthrough" for B and the initial states, "initial-states" for these. Other sums
-        are zero.
+        Without `feedthrough`, only the initial states are estimated. With a `floor`, a second
+        solution weights the outputs by the inverse covariance of the innovations of the first, plus
+        the floor. None if the predictor overflows.
         """
     def fit(
         self,
@@ -366,6 +365,31 @@ class Innovations:
         """Prediction-error fit from a start whose predictor is stable.
 
         With `stable`, the start has a stable A, and all iterates keep it.
+        """
+
+@final
+class Subspace:
+    """Subspace methods for one data set and one horizon; triangular factors are kept.
+
+    The order of `data` is ignored.
+    """
+
+    def __new__(cls, data: Innovations, horizon: int) -> Subspace: ...
+    def regression(self) -> tuple[NDArray[np.float64], int]:
+        """R of [u[k], z[k-1], ..., z[k-horizon], y[k]] and its number of rows of data."""
+    def realise(
+        self,
+        method: str,
+        feedthrough: Sequence[bool],
+        floor: float,
+        *,
+        order: int | None,
+        max_order: int,
+    ) -> tuple[int, NDArray[np.float64], NDArray[np.float64]]:
+        """Order; balanced model as values of `Innovations`, initial states zero; singular values.
+
+        Without an `order`, the singular values select one of at most `max_order`. `floor` is added
+        to the variance of every output.
         """
 
 @final

@@ -132,7 +132,7 @@ def test_every_entry_has_its_own_derivative() -> None:
     values = balance(rescale(matrices, data)).pack()
     whitener = evaluator.whitener(evaluator.unpack(values))
     J = evaluator.core.jacobian(values)
-    hessian, gradient = evaluator.core.normal_equations(values, whitener, "all")
+    hessian, gradient = evaluator.core.normal_equations(values, whitener)
     white = np.linalg.solve(whitener, J.transpose(1, 0, 2).reshape(2, -1)).reshape(2, 80, -1)
     e = np.linalg.solve(whitener, evaluator.core.residuals(values).T)
     np.testing.assert_allclose(hessian, np.einsum("oki,okj->ij", white, white), rtol=1e-9)

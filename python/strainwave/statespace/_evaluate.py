@@ -46,8 +46,7 @@ class Evaluator:
     def __init__(self, data: Stack, order: int) -> None:
         self.data = data
         self.order = order
-        lengths = list(data.lengths)
-        self.core = _core.Innovations(order, data.inputs, data.outputs, lengths)
+        self.core = _core.Innovations(order, data.n_inputs, data.samples, data.lengths)
         self._last: tuple[ModelMatrices, FloatArray] | None = None
 
     def unpack(self, values: FloatArray) -> ModelMatrices:
@@ -63,7 +62,7 @@ class Evaluator:
     def cost(self, matrices: ModelMatrices) -> float:
         """Cost (N/2) log det of the innovations' covariance; infinite for divergent innovations."""
         residuals = self.residuals(matrices)
-        if not np.abs(residuals).max() < DIVERGENCE_RATIO:
+        if not max(residuals.max(), -residuals.min()) < DIVERGENCE_RATIO:
             return np.inf
         covariance = limit_covariance(residuals)
         return 0.5 * len(residuals) * float(np.linalg.slogdet(covariance)[1])
@@ -78,7 +77,7 @@ class Evaluator:
         feedthrough: tuple[bool, ...] | None,
         *,
         gain: bool,
-        solutions: int = 2,
+        solutions: Literal[1, 2] = 2,
     ) -> ModelMatrices:
         """Estimate B, D and the initial states by linear least squares for given A, C and K.
 
@@ -90,63 +89,41 @@ class Evaluator:
         """
         if not gain:
             matrices = replace(matrices, K=np.zeros_like(matrices.K))
-        if feedthrough is not None:
-            matrices = replace(matrices, D=matrices.D * np.array(feedthrough))
-        n, m, p = self.order, self.data.n_inputs, self.data.n_outputs
-        start_b, start_d = n * n, n * (n + m + p)
-        indices = start_d + p * m + n * p + np.arange(n * len(self.data.lengths))
-        entries: Literal["linear", "without-feedthrough", "initial-states"] = "initial-states"
-        if feedthrough is not None:
-            entries = "linear" if any(feedthrough) else "without-feedthrough"
-            D = start_d + np.flatnonzero(np.tile(feedthrough, p))
-            indices = np.concatenate([start_b + np.arange(n * m), D, indices])
-        values = matrices.pack()
-        values[indices] = 0.0
-        whitener = np.eye(self.data.n_outputs)
-        for solution in range(solutions):
-            hessian, gradient = self.core.normal_equations(values, whitener, entries)
-            # The expansion point stays the same, so a second solution replaces the first.
-            block = hessian[np.ix_(indices, indices)]
-            if not np.all(np.isfinite(block)):
-                raise np.linalg.LinAlgError("the predictor overflows over the record")
-            scale = np.sqrt(np.maximum(np.diagonal(block), np.finfo(float).tiny))
-            step = np.linalg.lstsq(
-                block / np.outer(scale, scale), -gradient[indices] / scale, 1e-14
-            )
-            values[indices] += step[0] / scale
-            if solution + 1 < solutions:
-                residuals = self.residuals(self.unpack(values))
-                # If the predictor diverges, keep the first solution.
-                if not np.abs(residuals).max() < DIVERGENCE_RATIO:
-                    break
-                whitener = np.asarray(np.linalg.cholesky(limit_covariance(residuals)))
+        floor = MIN_VARIANCE_SHARE if solutions == 2 else None
+        values = self.core.linear(matrices.pack(), feedthrough, floor)
+        if values is None:
+            raise np.linalg.LinAlgError("the predictor overflows over the record")
         return self.unpack(values)
 
-    def simulated(self, matrices: ModelMatrices) -> FloatArray:
-        """Scaled outputs simulated from the inputs, with fitted initial states."""
-        with np.errstate(all="ignore"):
-            simulator = replace(matrices, K=np.zeros_like(matrices.K))
-            if is_stable(simulator.A):
-                simulator = self.linear(simulator, None, gain=False, solutions=1)
-            return self.data.outputs - self.core.residuals(simulator.pack())
+    def simulation_errors(self, matrices: ModelMatrices) -> FloatArray:
+        """Scaled outputs minus those simulated from the inputs, with fitted initial states."""
+        simulator = replace(matrices, K=np.zeros_like(matrices.K))
+        if is_stable(simulator.A):
+            simulator = self.linear(simulator, None, gain=False, solutions=1)
+        return self.core.residuals(simulator.pack())
 
 
 def limit_covariance(residuals: FloatArray) -> FloatArray:
     """Covariance E'E / N, regularised by `MIN_VARIANCE_SHARE`."""
-    by_channel = np.ascontiguousarray(residuals.T)
-    covariance = by_channel @ by_channel.T / len(residuals)
-    return covariance + MIN_VARIANCE_SHARE * np.eye(len(covariance))
+    channels = residuals.T
+    # one product of two channels at a time, which is faster than a product of narrow matrices
+    covariance = np.vecdot(channels[:, None], channels) / len(residuals)
+    return np.asarray(covariance + MIN_VARIANCE_SHARE * np.eye(len(covariance)))
 
 
-def fit_percent(measured: FloatArray, modelled: FloatArray) -> tuple[float, ...]:
-    """Fit 100 (1 - |y - yhat| / |y - mean y|) of each column [%]; -inf if the model diverges."""
-    # sums over contiguous samples are many times faster than those along the first axis
-    errors, signals = (np.ascontiguousarray(x.T) for x in (measured - modelled, measured))
+def fit_percent(measured: FloatArray, *errors: FloatArray) -> list[tuple[float, ...]]:
+    """Fits 100 (1 - |e| / |y - mean y|) of each column [%] for each array of errors.
+
+    A fit is -inf if the model diverges.
+    """
     with np.errstate(all="ignore"):
-        centred = signals - signals.mean(axis=1, keepdims=True)
-        error_norm, signal_norm = (np.sqrt(np.vecdot(x, x)) for x in (errors, centred))
-        fit = 100.0 * (1.0 - error_norm / np.where(signal_norm > 0.0, signal_norm, np.nan))
-    return tuple(float(value) if np.isfinite(value) else -np.inf for value in fit)
+        # sums over contiguous samples are many times faster than those along the first axis
+        centred = np.ascontiguousarray(measured.T)
+        centred = centred - centred.mean(axis=1, keepdims=True)
+        scale = np.sqrt(np.vecdot(centred, centred))
+        scale = np.where(scale > 0.0, scale, np.nan)
+        fits = [100.0 * (1.0 - np.sqrt(np.vecdot(e.T, e.T)) / scale) for e in errors]
+    return [tuple(float(x) if np.isfinite(x) else -np.inf for x in fit) for fit in fits]
 
 
 def assemble(
@@ -169,6 +146,8 @@ def assemble(
     # Degrees of freedom: each output's mean square is reduced by its share of the parameters.
     unbiased = covariance * samples / max(samples - n_parameters / p, 1.0)
     unscaled = unscale(matrices, data)
+    simulation_errors = evaluator.simulation_errors(matrices)
+    fits, prediction_fits = fit_percent(data.outputs, simulation_errors, residuals)
     return StateSpace(
         A=unscaled.A,
         B=unscaled.B,
@@ -181,8 +160,8 @@ def assemble(
         hold=data.hold,
         method=method,
         status=status,
-        fit_percent=fit_percent(data.outputs, evaluator.simulated(matrices)),
-        prediction_fit_percent=fit_percent(data.outputs, data.outputs - residuals),
+        fit_percent=fits,
+        prediction_fit_percent=prediction_fits,
         n_samples=samples,
         n_parameters=n_parameters,
         log_likelihood=-cost - log_scale - 0.5 * samples * p * (1.0 + float(np.log(2.0 * np.pi))),
@@ -300,16 +279,14 @@ def _half_log_information(
             lengths.append(min(length, remaining))
             remaining -= length
     # only the last record is truncated, so the rows are contiguous
-    rows = slice(0, sum(lengths))
-    inputs, outputs = data.inputs[rows], data.outputs[rows]
-    used = replace(data, inputs=inputs, outputs=outputs, lengths=tuple(lengths))
+    used = replace(data, samples=data.samples[: sum(lengths)], lengths=tuple(lengths))
     core, whitener = Evaluator(used, matrices.order).core, evaluator.whitener(matrices)
     values = matrices.pack()[: states + matrices.order * len(lengths)]
 
     def half_log(entry: int, step: float) -> float:
         changed = values.copy()
         changed[entry] += step
-        hessian, _ = core.normal_equations(changed, whitener, "all")
+        hessian, _ = core.normal_equations(changed, whitener)
         if not np.isfinite(hessian).all():
             return float("inf")
         projected = basis.T @ hessian[: len(basis)]

@@ -22,8 +22,7 @@ Data = InputOutput | Sequence[InputOutput]
 class Stack:
     """Stacked records, each channel divided by its root mean square."""
 
-    inputs: FloatArray  # (n_samples, n_inputs), scaled
-    outputs: FloatArray  # (n_samples, n_outputs), scaled
+    samples: FloatArray  # (n_samples, n_inputs + n_outputs): inputs and outputs, scaled
     lengths: tuple[int, ...]
     input_scale: FloatArray  # (n_inputs,)
     output_scale: FloatArray  # (n_outputs,)
@@ -34,15 +33,23 @@ class Stack:
 
     @property
     def n_samples(self) -> int:
-        return len(self.inputs)
+        return len(self.samples)
 
     @property
     def n_inputs(self) -> int:
-        return int(self.inputs.shape[1])
+        return len(self.input_scale)
 
     @property
     def n_outputs(self) -> int:
-        return int(self.outputs.shape[1])
+        return len(self.output_scale)
+
+    @property
+    def inputs(self) -> FloatArray:
+        return self.samples[:, : self.n_inputs]
+
+    @property
+    def outputs(self) -> FloatArray:
+        return self.samples[:, self.n_inputs :]
 
     def rows(self) -> list[slice]:
         """Slice of each record in the stacked samples."""
@@ -68,16 +75,26 @@ def stack(data: Data) -> Stack:
     for index, record in enumerate(records, start=1):
         _check(record, f"record {index}")
         _check_same(record, first, f"record {index}")
-    inputs, input_scale = _scaled([record.inputs for record in records])
-    outputs, output_scale = _scaled([record.outputs for record in records])
+    n_inputs, n_outputs = first.inputs.shape[1], first.outputs.shape[1]
+    lengths = tuple(len(record.inputs) for record in records)
+    samples, scale = np.empty((sum(lengths), n_inputs + n_outputs)), np.ones(n_inputs + n_outputs)
+    for signals, begin in (
+        ([record.inputs for record in records], 0),
+        ([record.outputs for record in records], n_inputs),
+    ):
+        signal = np.asarray(signals[0] if len(signals) == 1 else np.concatenate(signals), float)
+        # one channel at a time, which is many times faster than rows of a few channels
+        for channel, values in enumerate(signal.T, start=begin):
+            rms = np.sqrt(np.vecdot(values, values) / len(values))
+            scale[channel] = rms if rms > 0.0 else 1.0
+            np.divide(values, scale[channel], out=samples[:, channel])
     return Stack(
-        inputs=inputs,
-        outputs=outputs,
-        lengths=tuple(len(record.inputs) for record in records),
-        input_scale=input_scale,
-        output_scale=output_scale,
+        samples=samples,
+        lengths=lengths,
+        input_scale=scale[:n_inputs],
+        output_scale=scale[n_inputs:],
         sample_time=first.sample_time,
-        hold=first.hold or ("zero",) * inputs.shape[1],
+        hold=first.hold or ("zero",) * n_inputs,
         input_names=first.input_names,
         output_names=first.output_names,
     )
@@ -96,17 +113,6 @@ def remove_means(data: Data) -> tuple[InputOutput, ...]:
         )
         for record in records_of(data)
     )
-
-
-def _scaled(signals: list[FloatArray]) -> tuple[FloatArray, FloatArray]:
-    """Stacked signals divided by the root mean square of each channel, and these scales."""
-    stacked = np.concatenate(signals, dtype=np.float64)
-    # by contiguous channels, which is many times faster than along the first axis
-    channels = np.ascontiguousarray(stacked.T)
-    rms = np.sqrt(np.vecdot(channels, channels) / len(stacked))
-    scale = np.where(rms > 0.0, rms, 1.0)
-    channels /= scale[:, None]
-    return np.ascontiguousarray(channels.T), scale
 
 
 def _check(record: InputOutput, where: str) -> None:
@@ -260,63 +266,22 @@ def balancing(matrices: ModelMatrices) -> FloatArray:
     are equal and diagonal, which keeps the normal equations of a fit well conditioned. T is the
     identity if the predictor is unstable or a Gramian is singular.
     """
-    predictor = matrices.A - matrices.K @ matrices.C
-    if not is_stable(predictor):
-        return np.eye(matrices.order)
-    controllability = _core.gramian(predictor, np.hstack([matrices.B, matrices.K]))
-    observability = _core.gramian(predictor.T, matrices.C.T)
-    try:
-        L = np.linalg.cholesky(controllability)
-        hankel_squares, U = np.linalg.eigh(L.T @ observability @ L)
-    except np.linalg.LinAlgError:
-        return np.eye(matrices.order)
-    # smallest Hankel singular value below rounding
-    if not hankel_squares[0] > 1e-24 * hankel_squares[-1]:
-        return np.eye(matrices.order)
-    # T = S^(1/2) U' L^-1, where S holds the Hankel singular values.
-    T = np.sqrt(np.sqrt(hankel_squares))[:, None] * np.linalg.solve(L.T, U).T
-    return np.asarray(T)
-
-
-def innovations_gain(
-    A: FloatArray, C: FloatArray, Q: FloatArray, S: FloatArray, R: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Gain of the steady-state Kalman predictor, and covariance of its innovations.
-
-    The model is x+ = A x + w, y = C x + v with cov [w; v] = [Q S; S' R]. The gain solves
-
-        P = A P A' + Q - K (C P C' + R) K',   K = (A P C' + S) (C P C' + R)^-1
-
-    by the structure-preserving doubling algorithm. A - K C is stable if the noise excites all modes
-    on or outside the unit circle.
-
-    Q has shape (n, n), S (n, p) and R (p, p). Returns K (n, p) and C P C' + R (p, p), which are NaN
-    if there is no solution.
-    """
-    solution = _core.innovations_gain(A, C, Q, S, R)
-    return solution or (np.full_like(S, np.nan), np.full_like(R, np.nan))
+    T = _core.balancing(matrices.A, matrices.B, matrices.C, matrices.K)
+    return np.eye(matrices.order) if T is None else T
 
 
 def is_stable(A: FloatArray) -> bool:
     """Whether all eigenvalues of A lie inside the unit circle."""
-    return bool(np.isfinite(A).all() and np.abs(np.linalg.eigvals(A)).max() < 1.0)
+    return _core.is_stable(A)
 
 
 def stabilising_gain(A: FloatArray, C: FloatArray, K: FloatArray, R: FloatArray) -> FloatArray:
-    """Gain K, or the gain of the stable predictor with the same noise spectrum.
+    """Gain K (n, p), or the gain of the stable predictor with the same noise spectrum.
 
     K is returned if A - K C is stable. Otherwise the Riccati equation with w = K e and v = e gives
-    the stable predictor. A small process noise on every state moves eigenvalues away from the unit
-    circle.
+    the stable predictor, for innovations e with covariance R (p, p).
     """
-    n = len(A)
-    scale = np.trace(R) / len(R)
-    for extra in (0.0, 1e-6, 1e-3, 1.0):
-        if is_stable(A - K @ C):
-            return K
-        noise = (extra or 1e-9) * scale * np.eye(n)
-        K, _ = innovations_gain(A, C, K @ R @ K.T + noise, K @ R, R)
-    return K
+    return _core.stabilising_gain(A, C, K, R)
 
 
 def reflect_poles(A: FloatArray) -> FloatArray:

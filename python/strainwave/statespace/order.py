@@ -104,9 +104,8 @@ def _split_records(data: Data, highest: int) -> tuple[list[InputOutput], list[In
 def _held_out_fit(model: StateSpace, held_out: list[InputOutput]) -> tuple[float, ...]:
     stacked = stack(held_out)
     evaluator, matrices = on_data(model, stacked)
-    if not model.K.any():
-        return fit_percent(stacked.outputs, evaluator.simulated(matrices))
-    return fit_percent(stacked.outputs, stacked.outputs - evaluator.residuals(matrices))
+    errors = evaluator.residuals if model.K.any() else evaluator.simulation_errors
+    return fit_percent(stacked.outputs, errors(matrices))[0]
 
 
 def _choose_order(

@@ -254,10 +254,11 @@ def _starts(
     options: PemOptions,
 ) -> list[ModelMatrices]:
     if start is None:
-        horizon, factors = choose_horizon(data, order or MAX_ORDER), Factors(data)
+        factors = Factors(data)
+        horizon = choose_horizon(factors, order or MAX_ORDER)
         realisations = [
-            realise(factors, order, "predictor", horizon, feedthrough)[0],
-            realise(factors, order, "moesp", horizon, feedthrough)[0],
+            realise(factors, order, method, horizon, feedthrough)[0]
+            for method in ("predictor", "moesp")
         ]
     else:
         realisations = [_from_model(start, data)]

@@ -53,13 +53,15 @@ def check_model(model: StateSpace, data: Data, *, lags: int = DEFAULT_LAGS) -> M
     stacked = stack(data)
     evaluator, matrices = on_data(model, stacked)
     residuals = evaluator.residuals(matrices)
+    simulation_errors = evaluator.simulation_errors(matrices)
+    fits, prediction_fits = fit_percent(stacked.outputs, simulation_errors, residuals)
     lags = max(1, min(lags, max(stacked.lengths) // 4))
     cross_tests, cross_correlation = _cross_tests(residuals, stacked, lags)
     scale = np.sqrt(np.sum(residuals**2, axis=0))
     normaliser = np.maximum(np.outer(scale, scale), np.finfo(float).tiny)
     return ModelCheck(
-        fit_percent=fit_percent(stacked.outputs, evaluator.simulated(matrices)),
-        prediction_fit_percent=fit_percent(stacked.outputs, stacked.outputs - residuals),
+        fit_percent=fits,
+        prediction_fit_percent=prediction_fits,
         tests=(whiteness(residuals, stacked, lags=lags), *cross_tests),
         autocorrelation=_correlations(residuals, residuals, stacked, lags) / normaliser,
         cross_correlation=cross_correlation,

@@ -1,12 +1,15 @@
 //! Numerics that are independent of arms and models.
 //!
 //! [`products`] adds products of tall matrices, tile by tile in registers. [`triangular`] computes
-//! the triangular factor of a tall matrix. [`elimination`] eliminates local unknowns from
-//! least-squares problems. [`reduction`] does so for weighted equations and
-//! factorises the rest. [`symmetric_filter`] filters at selected samples. Matrices are row-major slices; samples are rows.
+//! the triangular factor of a tall matrix, [`cholesky`] that of a symmetric one, and [`singular`] the
+//! singular values of a square one. [`elimination`] eliminates local unknowns from least-squares
+//! problems; [`reduction`] does so for weighted equations and factorises the rest.
+//! [`symmetric_filter`] filters at selected samples. Matrices are row-major slices; samples are rows.
 
+pub mod cholesky;
 pub mod elimination;
 pub mod products;
 pub mod reduction;
+pub mod singular;
 pub mod symmetric_filter;
 pub mod triangular;

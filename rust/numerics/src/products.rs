@@ -2,8 +2,8 @@
 
 /// Rows of a tile of the sum that is kept in registers.
 const TILE_ROWS: usize = 4;
-/// Columns of a tile.
-const TILE_COLUMNS: usize = 12;
+/// Columns of a tile, and those with AVX-512.
+const TILE_COLUMNS: [usize; 2] = [12, 24];
 
 /// Rows summed per tile before the next tile, so that they stay in the first-level cache.
 const BLOCK: usize = 256;
@@ -43,10 +43,26 @@ pub fn add_products(target: &mut [f64], left: Rows<'_>, right: Rows<'_>, count: 
     }
     #[cfg(target_arch = "x86_64")]
     if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
+        if is_x86_feature_detected!("avx512f") && right.width >= TILE_COLUMNS[1] {
+            // SAFETY: all features have just been detected.
+            return unsafe { add_products_avx512(target, left, right, count, part) };
+        }
         // SAFETY: both features have just been detected.
         return unsafe { add_products_avx2(target, left, right, count, part) };
     }
-    blocks::<BASELINE_IS_FUSED>(target, left, right, count, part);
+    blocks::<BASELINE_IS_FUSED, { TILE_COLUMNS[0] }>(target, left, right, count, part);
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2,fma,avx512f")]
+fn add_products_avx512(
+    target: &mut [f64],
+    left: Rows<'_>,
+    right: Rows<'_>,
+    count: usize,
+    part: Part,
+) {
+    blocks::<true, { TILE_COLUMNS[1] }>(target, left, right, count, part);
 }
 
 #[cfg(target_arch = "x86_64")]
@@ -58,11 +74,11 @@ fn add_products_avx2(
     count: usize,
     part: Part,
 ) {
-    blocks::<true>(target, left, right, count, part);
+    blocks::<true, { TILE_COLUMNS[0] }>(target, left, right, count, part);
 }
 
 #[inline(always)]
-fn blocks<const FUSED: bool>(
+fn blocks<const FUSED: bool, const COLUMNS: usize>(
     target: &mut [f64],
     left: Rows<'_>,
     right: Rows<'_>,
@@ -74,31 +90,31 @@ fn blocks<const FUSED: bool>(
         let from = |rows: Rows<'_>| -> usize { start * rows.stride };
         let (l, r) = (&left.data[from(left)..], &right.data[from(right)..]);
         for i in (0..left.width).step_by(TILE_ROWS) {
-            for j in (0..right.width).step_by(TILE_COLUMNS) {
-                if part == Part::Upper && j + TILE_COLUMNS <= i {
+            for j in (0..right.width).step_by(COLUMNS) {
+                if part == Part::Upper && j + COLUMNS <= i {
                     continue;
                 }
-                if i + TILE_ROWS <= left.width && j + TILE_COLUMNS <= right.width {
+                if i + TILE_ROWS <= left.width && j + COLUMNS <= right.width {
                     let tile = &mut target[i * right.width + j..];
                     let (l, r) = ((&l[i..], left.stride), (&r[j..], right.stride));
-                    whole_tile::<FUSED>(tile, right.width, l, r, rows);
-                } else if left.width >= TILE_ROWS && right.width >= TILE_COLUMNS {
+                    whole_tile::<FUSED, COLUMNS>(tile, right.width, l, r, rows);
+                } else if left.width >= TILE_ROWS && right.width >= COLUMNS {
                     // The last tiles begin earlier and repeat some sums, which are not added.
                     let top = i.min(left.width - TILE_ROWS);
-                    let first = j.min(right.width - TILE_COLUMNS);
+                    let first = j.min(right.width - COLUMNS);
                     let (l, r) = ((&l[top..], left.stride), (&r[first..], right.stride));
-                    let mut sums = [0.0; TILE_ROWS * TILE_COLUMNS];
-                    whole_tile::<FUSED>(&mut sums, TILE_COLUMNS, l, r, rows);
+                    let mut sums = [[0.0; COLUMNS]; TILE_ROWS];
+                    let tile = sums.as_flattened_mut();
+                    whole_tile::<FUSED, COLUMNS>(tile, COLUMNS, l, r, rows);
                     for a in i..top + TILE_ROWS {
-                        for b in j..first + TILE_COLUMNS {
-                            let sum = sums[(a - top) * TILE_COLUMNS + (b - first)];
-                            target[a * right.width + b] += sum;
+                        for b in j..first + COLUMNS {
+                            target[a * right.width + b] += sums[a - top][b - first];
                         }
                     }
                 } else {
                     let tile = &mut target[i * right.width + j..];
                     let height = TILE_ROWS.min(left.width - i);
-                    let width = TILE_COLUMNS.min(right.width - j);
+                    let width = COLUMNS.min(right.width - j);
                     for row in 0..rows {
                         for a in 0..height {
                             let weight = l[row * left.stride + i + a];
@@ -116,27 +132,25 @@ fn blocks<const FUSED: bool>(
 }
 
 #[inline(always)]
-fn whole_tile<const FUSED: bool>(
+fn whole_tile<const FUSED: bool, const COLUMNS: usize>(
     target: &mut [f64],
     target_stride: usize,
     (left, left_stride): (&[f64], usize),
     (right, right_stride): (&[f64], usize),
     rows: usize,
 ) {
-    let mut sums = [[0.0; TILE_COLUMNS]; TILE_ROWS];
+    let mut sums = [[0.0; COLUMNS]; TILE_ROWS];
     for row in 0..rows {
         let l: &[f64; TILE_ROWS] = left[row * left_stride..][..TILE_ROWS].try_into().unwrap();
-        let r: &[f64; TILE_COLUMNS] = right[row * right_stride..][..TILE_COLUMNS]
-            .try_into()
-            .unwrap();
+        let r: &[f64; COLUMNS] = right[row * right_stride..][..COLUMNS].try_into().unwrap();
         for a in 0..TILE_ROWS {
-            for b in 0..TILE_COLUMNS {
+            for b in 0..COLUMNS {
                 sums[a][b] = multiply_add::<FUSED>(l[a], r[b], sums[a][b]);
             }
         }
     }
     for (a, row) in sums.iter().enumerate() {
-        let target = &mut target[a * target_stride..][..TILE_COLUMNS];
+        let target = &mut target[a * target_stride..][..COLUMNS];
         target.iter_mut().zip(row).for_each(|(t, s)| *t += s);
     }
 }
@@ -163,6 +177,7 @@ mod tests {
             (6, 20, 4, 130),
             (1, 1, 1, 1),
             (9, 24, 24, 64),
+            (6, 31, 4, 300),
         ] {
             let left = Rows {
                 data: &data,

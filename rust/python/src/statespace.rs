@@ -7,93 +7,68 @@ use numpy::{
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use strainwave_statespace::fit::{Fit, InvalidStart, Options, Status, fit};
+use strainwave_statespace::linear::{Entries, estimate};
 use strainwave_statespace::model::{Model, Record, Shape, split};
-use strainwave_statespace::sensitivity::Entries;
-use strainwave_statespace::steady_state::{self, Noise};
-use strainwave_statespace::{hankel, predictor, sensitivity};
+use strainwave_statespace::subspace::{self, Method};
+use strainwave_statespace::{predictor, sensitivity, stability, steady_state};
 
 /// Adds this file's functions and classes to the module.
 pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
-    module.add_function(wrap_pyfunction!(hankel_gram, module)?)?;
-    module.add_function(wrap_pyfunction!(gramian, module)?)?;
-    module.add_function(wrap_pyfunction!(innovations_gain, module)?)?;
+    module.add_function(wrap_pyfunction!(balancing, module)?)?;
+    module.add_function(wrap_pyfunction!(stabilising_gain, module)?)?;
+    module.add_function(wrap_pyfunction!(is_stable, module)?)?;
     module.add_class::<Innovations>()?;
-    module.add_class::<InnovationsFit>()
+    module.add_class::<InnovationsFit>()?;
+    module.add_class::<Subspace>()
 }
 
-/// Z'Z of the block-Hankel matrix Z of stacked records z = [u, y], with its columns in an order, and
-/// the number of its rows.
+/// State transformation that balances the predictor of (A, B, C, K); None if there is none.
 #[pyfunction]
-fn hankel_gram<'py>(
-    py: Python<'py>,
-    inputs: PyReadonlyArray2<'py, f64>,
-    outputs: PyReadonlyArray2<'py, f64>,
-    lengths: Vec<usize>,
-    depth: usize,
-    order: Vec<usize>,
-) -> PyResult<(Bound<'py, PyArray2<f64>>, usize)> {
-    check_rows("inputs", inputs.shape()[0], &lengths)?;
-    check_rows("outputs", outputs.shape()[0], &lengths)?;
-    let shape = Shape {
-        order: 1,
-        inputs: inputs.shape()[1],
-        outputs: outputs.shape()[1],
-    };
-    let size = depth * (shape.inputs + shape.outputs);
-    if order.len() != size || order.iter().any(|&column| column >= size) {
-        return Err(PyValueError::new_err(format!(
-            "expected an order of {size} columns"
-        )));
-    }
-    let inputs = inputs.as_slice().map_err(|_| not_contiguous("inputs"))?;
-    let outputs = outputs.as_slice().map_err(|_| not_contiguous("outputs"))?;
-    let (gram, rows) = py.detach(|| {
-        let records = split(shape, inputs, outputs, &lengths);
-        hankel::gram(shape, &records, depth, &order)
-    });
-    Ok((gram.into_pyarray(py).reshape([size, size])?, rows))
-}
-
-/// X = A X A' + B B' for stable A.
-#[pyfunction]
-fn gramian<'py>(
+fn balancing<'py>(
     py: Python<'py>,
     a: PyReadonlyArray2<'py, f64>,
     b: PyReadonlyArray2<'py, f64>,
-) -> PyResult<Bound<'py, PyArray2<f64>>> {
-    let n = a.shape()[0];
-    let (a, b) = (entries(&a, [n, n])?, entries(&b, [n, b.shape()[1]])?);
-    steady_state::gramian(&a, &b, n)
-        .into_pyarray(py)
-        .reshape([n, n])
+    c: PyReadonlyArray2<'py, f64>,
+    k: PyReadonlyArray2<'py, f64>,
+) -> PyResult<Option<Bound<'py, PyArray2<f64>>>> {
+    let shape = Shape {
+        order: a.shape()[0],
+        inputs: b.shape()[1],
+        outputs: c.shape()[0],
+    };
+    let (n, m, p) = (shape.order, shape.inputs, shape.outputs);
+    let mut values = entries(&a, [n, n])?;
+    values.extend(entries(&b, [n, m])?);
+    values.extend(entries(&c, [p, n])?);
+    values.extend(std::iter::repeat_n(0.0, p * m));
+    values.extend(entries(&k, [n, p])?);
+    steady_state::balancing(&Model { shape, values })
+        .map(|(forward, _)| forward.into_pyarray(py).reshape([n, n]))
+        .transpose()
 }
 
-/// Gain of the steady-state Kalman predictor and covariance of its innovations.
+/// Gain of a stable predictor with the noise spectrum of the gain K and of a covariance.
 #[pyfunction]
-#[allow(clippy::type_complexity)]
-fn innovations_gain<'py>(
+fn stabilising_gain<'py>(
     py: Python<'py>,
     a: PyReadonlyArray2<'py, f64>,
     c: PyReadonlyArray2<'py, f64>,
-    state: PyReadonlyArray2<'py, f64>,
-    cross: PyReadonlyArray2<'py, f64>,
-    output: PyReadonlyArray2<'py, f64>,
-) -> PyResult<Option<(Bound<'py, PyArray2<f64>>, Bound<'py, PyArray2<f64>>)>> {
+    k: PyReadonlyArray2<'py, f64>,
+    covariance: PyReadonlyArray2<'py, f64>,
+) -> PyResult<Bound<'py, PyArray2<f64>>> {
     let (n, p) = (a.shape()[0], c.shape()[0]);
-    let noise = Noise {
-        state: &entries(&state, [n, n])?,
-        cross: &entries(&cross, [n, p])?,
-        output: &entries(&output, [p, p])?,
-    };
     let (a, c) = (entries(&a, [n, n])?, entries(&c, [p, n])?);
-    steady_state::innovations_gain(&a, &c, noise, n, p)
-        .map(|(gain, covariance)| {
-            Ok((
-                gain.into_pyarray(py).reshape([n, p])?,
-                covariance.into_pyarray(py).reshape([p, p])?,
-            ))
-        })
-        .transpose()
+    let (k, covariance) = (entries(&k, [n, p])?, entries(&covariance, [p, p])?);
+    steady_state::stabilising_gain(&a, &c, k, &covariance, n, p)
+        .into_pyarray(py)
+        .reshape([n, p])
+}
+
+/// Whether all eigenvalues of a square matrix are inside the unit circle.
+#[pyfunction]
+fn is_stable(matrix: PyReadonlyArray2<'_, f64>) -> PyResult<bool> {
+    let n = matrix.shape()[0];
+    Ok(stability::is_stable(&entries(&matrix, [n, n])?, n))
 }
 
 /// Entries of a matrix by rows.
@@ -112,8 +87,8 @@ fn entries(matrix: &PyReadonlyArray2<'_, f64>, shape: [usize; 2]) -> PyResult<Ve
 #[pyclass(frozen, module = "strainwave._core")]
 struct Innovations {
     shape: Shape,
-    inputs: Vec<f64>,
-    outputs: Vec<f64>,
+    /// Rows [u, y]; not copied.
+    samples: Py<PyArray2<f64>>,
     lengths: Vec<usize>,
 }
 
@@ -122,32 +97,31 @@ impl Innovations {
     #[new]
     fn new(
         order: usize,
-        inputs: PyReadonlyArray2<'_, f64>,
-        outputs: PyReadonlyArray2<'_, f64>,
+        n_inputs: usize,
+        samples: PyReadonlyArray2<'_, f64>,
         lengths: Vec<usize>,
     ) -> PyResult<Self> {
-        check_rows("inputs", inputs.shape()[0], &lengths)?;
-        check_rows("outputs", outputs.shape()[0], &lengths)?;
-        let shape = Shape {
-            order,
-            inputs: inputs.shape()[1],
-            outputs: outputs.shape()[1],
-        };
-        if order == 0 || shape.inputs == 0 || shape.outputs == 0 {
+        let [rows, width] = [samples.shape()[0], samples.shape()[1]];
+        let expected: usize = lengths.iter().sum();
+        if rows != expected {
             return Err(PyValueError::new_err(format!(
-                "expected a model, got {shape:?}"
+                "expected {expected} rows of samples, got {rows}"
             )));
         }
+        if order == 0 || n_inputs == 0 || n_inputs >= width {
+            return Err(PyValueError::new_err(format!(
+                "expected a model, got order {order} and {n_inputs} inputs of {width} channels"
+            )));
+        }
+        samples.as_slice().map_err(|_| not_contiguous("samples"))?;
+        let shape = Shape {
+            order,
+            inputs: n_inputs,
+            outputs: width - n_inputs,
+        };
         Ok(Self {
             shape,
-            inputs: inputs
-                .as_slice()
-                .map_err(|_| not_contiguous("inputs"))?
-                .to_vec(),
-            outputs: outputs
-                .as_slice()
-                .map_err(|_| not_contiguous("outputs"))?
-                .to_vec(),
+            samples: (*samples).clone().unbind(),
             lengths,
         })
     }
@@ -159,7 +133,7 @@ impl Innovations {
         values: PyReadonlyArray1<'py, f64>,
     ) -> PyResult<Bound<'py, PyArray2<f64>>> {
         let model = self.model(&values)?;
-        let e = py.detach(|| predictor::innovations(&model, &self.records()));
+        let e = self.with_records(py, |records| predictor::innovations(&model, records))?;
         let p = self.shape.outputs;
         let samples = e.len() / p;
         e.into_pyarray(py).reshape([samples, p])
@@ -173,13 +147,12 @@ impl Innovations {
         values: PyReadonlyArray1<'py, f64>,
     ) -> PyResult<Bound<'py, PyArray3<f64>>> {
         let model = self.model(&values)?;
-        let stacked = py.detach(|| {
-            let records = self.records();
+        let stacked = self.with_records(py, |records| {
             let parts = records.iter().enumerate();
             parts
                 .flat_map(|(index, r)| sensitivity::jacobian(&model, r, index))
                 .collect::<Vec<_>>()
-        });
+        })?;
         let (p, columns) = (self.shape.outputs, self.columns());
         let samples = stacked.len() / (p * columns);
         stacked.into_pyarray(py).reshape([samples, p, columns])
@@ -194,50 +167,57 @@ impl Innovations {
     ) -> PyResult<Bound<'py, PyArray2<f64>>> {
         let model = self.model(&values)?;
         let whitener = self.whitener(&whitener)?;
-        let stacked = py.detach(|| {
-            let records = self.records();
+        let stacked = self.with_records(py, |records| {
             let parts = records.iter().enumerate();
             parts
                 .flat_map(|(index, r)| sensitivity::scores(&model, r, index, &whitener))
                 .collect::<Vec<_>>()
-        });
+        })?;
         let columns = self.columns();
         let samples = stacked.len() / columns;
         stacked.into_pyarray(py).reshape([samples, columns])
     }
 
     /// J'WJ (size, size) and J'We (size,) with respect to `values`; W^-1 = L L'.
-    ///
-    /// `entries`: "all"; "linear": B, D and the initial states; "without-feedthrough": B and the
-    /// initial states; "initial-states". Sums with other entries are zero.
     #[allow(clippy::type_complexity)]
     fn normal_equations<'py>(
         &self,
         py: Python<'py>,
         values: PyReadonlyArray1<'py, f64>,
         whitener: PyReadonlyArray2<'py, f64>,
-        entries: &str,
     ) -> PyResult<(Bound<'py, PyArray2<f64>>, Bound<'py, PyArray1<f64>>)> {
-        let entries = match entries {
-            "all" => Entries::All,
-            "linear" => Entries::Linear,
-            "without-feedthrough" => Entries::WithoutFeedthrough,
-            "initial-states" => Entries::InitialStates,
-            _ => {
-                return Err(PyValueError::new_err(format!(
-                    "expected all, linear, without-feedthrough or initial-states, got {entries}"
-                )));
-            }
-        };
         let model = self.model(&values)?;
         let whitener = self.whitener(&whitener)?;
-        let equations = py
-            .detach(|| sensitivity::normal_equations(&model, &self.records(), &whitener, entries));
+        let equations = self.with_records(py, |records| {
+            sensitivity::normal_equations(&model, records, &whitener)
+        })?;
         let size = model.values.len();
         Ok((
             equations.hessian.into_pyarray(py).reshape([size, size])?,
             equations.gradient.into_pyarray(py),
         ))
+    }
+
+    /// `values` with B, D and the initial states by least squares, or without `feedthrough` the
+    /// initial states only; None if the predictor overflows.
+    #[pyo3(signature = (values, feedthrough, floor))]
+    fn linear<'py>(
+        &self,
+        py: Python<'py>,
+        values: PyReadonlyArray1<'py, f64>,
+        feedthrough: Option<Vec<bool>>,
+        floor: Option<f64>,
+    ) -> PyResult<Option<Bound<'py, PyArray1<f64>>>> {
+        let mut model = self.model(&values)?;
+        if let Some(flags) = &feedthrough {
+            check_flags(flags, self.shape)?;
+        }
+        let entries = feedthrough
+            .as_deref()
+            .map_or(Entries::InitialStates, Entries::Plant);
+        let is_finite =
+            self.with_records(py, |records| estimate(&mut model, records, entries, floor))?;
+        Ok(is_finite.then(|| model.values.into_pyarray(py)))
     }
 
     /// Prediction-error fit from a starting model with a stable predictor, and with a stable A if
@@ -256,10 +236,9 @@ impl Innovations {
         tolerance: f64,
     ) -> PyResult<InnovationsFit> {
         let start = self.model(&values)?;
-        if feedthrough.len() != self.shape.inputs || floor.len() != self.shape.outputs {
-            return Err(PyValueError::new_err(
-                "expected a flag per input, a variance per output",
-            ));
+        check_flags(&feedthrough, self.shape)?;
+        if floor.len() != self.shape.outputs {
+            return Err(PyValueError::new_err("expected a variance per output"));
         }
         let options = Options {
             gain,
@@ -270,7 +249,7 @@ impl Innovations {
             max_iterations,
             tolerance,
         };
-        let ended = py.detach(|| fit(start, &self.records(), &options));
+        let ended = self.with_records(py, |records| fit(start, records, &options))?;
         match ended {
             Ok(fit) => Ok(InnovationsFit { fit }),
             Err(InvalidStart::Unstable) => Err(PyValueError::new_err(
@@ -284,8 +263,16 @@ impl Innovations {
 }
 
 impl Innovations {
-    fn records(&self) -> Vec<Record<'_>> {
-        split(self.shape, &self.inputs, &self.outputs, &self.lengths)
+    /// Calls a function with the records, without the GIL.
+    fn with_records<T: Send>(
+        &self,
+        py: Python<'_>,
+        work: impl FnOnce(&[Record<'_>]) -> T + Send,
+    ) -> PyResult<T> {
+        let samples = self.samples.bind(py).try_readonly()?;
+        let samples = samples.as_slice()?;
+        let records = split(self.shape, samples, &self.lengths);
+        Ok(py.detach(|| work(&records)))
     }
 
     fn columns(&self) -> usize {
@@ -321,6 +308,70 @@ impl Innovations {
             .as_slice()
             .map_err(|_| not_contiguous("whitener"))?
             .to_vec())
+    }
+}
+
+/// Subspace methods for the data of `Innovations` and one horizon; factors are kept.
+#[pyclass(frozen, module = "strainwave._core")]
+struct Subspace {
+    data: Py<Innovations>,
+    factors: subspace::Subspace,
+}
+
+#[pymethods]
+impl Subspace {
+    #[new]
+    fn new(data: Bound<'_, Innovations>, horizon: usize) -> Self {
+        Self {
+            factors: subspace::Subspace::new(data.get().shape, horizon),
+            data: data.unbind(),
+        }
+    }
+
+    /// R of [u[k], z[k-1], ..., z[k-horizon], y[k]] and the number of rows of the data.
+    fn regression<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyArray2<f64>>, usize)> {
+        let data = self.data.get();
+        let (factor, rows) =
+            data.with_records(py, |records| self.factors.regression(records).clone())?;
+        let size = factor.len().isqrt();
+        Ok((factor.into_pyarray(py).reshape([size, size])?, rows))
+    }
+
+    /// Order, balanced model with zero initial states as values of `Innovations`, singular values.
+    #[pyo3(signature = (method, feedthrough, floor, *, order, max_order))]
+    #[allow(clippy::type_complexity)]
+    fn realise<'py>(
+        &self,
+        py: Python<'py>,
+        method: &str,
+        feedthrough: Vec<bool>,
+        floor: f64,
+        order: Option<usize>,
+        max_order: usize,
+    ) -> PyResult<(usize, Bound<'py, PyArray1<f64>>, Bound<'py, PyArray1<f64>>)> {
+        let method = match method {
+            "moesp" => Method::Moesp,
+            "n4sid" => Method::N4sid,
+            "predictor" => Method::Predictor,
+            _ => {
+                return Err(PyValueError::new_err(format!(
+                    "expected moesp, n4sid or predictor, got {method}"
+                )));
+            }
+        };
+        let data = self.data.get();
+        check_flags(&feedthrough, data.shape)?;
+        let options = subspace::Options {
+            order,
+            max_order,
+            feedthrough: &feedthrough,
+            floor,
+        };
+        let (model, singular_values) = data.with_records(py, |records| {
+            self.factors.realise(records, method, &options)
+        })?;
+        let values = model.values.into_pyarray(py);
+        Ok((model.shape.order, values, singular_values.into_pyarray(py)))
     }
 }
 
@@ -390,14 +441,11 @@ impl InnovationsFit {
     }
 }
 
-fn check_rows(name: &str, rows: usize, lengths: &[usize]) -> PyResult<()> {
-    let expected: usize = lengths.iter().sum();
-    if rows == expected {
+fn check_flags(flags: &[bool], shape: Shape) -> PyResult<()> {
+    if flags.len() == shape.inputs {
         return Ok(());
     }
-    Err(PyValueError::new_err(format!(
-        "expected {expected} rows of {name}, got {rows}"
-    )))
+    Err(PyValueError::new_err("expected a flag per input"))
 }
 
 /// The error for an array that is not contiguous.

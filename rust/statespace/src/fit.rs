@@ -10,7 +10,7 @@
 use crate::linalg::{cholesky, log_determinant, solve_lower, solve_lower_transposed};
 use crate::model::{Model, Record};
 use crate::predictor;
-use crate::sensitivity::{Entries, NormalEquations, normal_equations};
+use crate::sensitivity::{NormalEquations, normal_equations};
 use crate::stability::{Barrier, predictor_change};
 use crate::tangent::Coordinates;
 
@@ -203,7 +203,7 @@ impl Step {
             hessian: information,
             gradient,
             ..
-        } = normal_equations(&point.model, records, &point.whitener, Entries::All);
+        } = normal_equations(&point.model, records, &point.whitener);
         let coordinates = Coordinates::at(&point.model, free, &standard_deviations(&information));
         let reduced_information = coordinates.reduce_hessian(&information);
         let gradient = coordinates.reduce_gradient(&gradient);

@@ -1,4 +1,4 @@
-//! Small dense linear algebra: Cholesky, triangular solves, an orthogonal complement.
+//! Small dense linear algebra: products, Cholesky, triangular solves, an orthogonal complement.
 //!
 //! Sizes are numbers of parameters (tens), so a dependency is not justified.
 
@@ -132,6 +132,33 @@ fn reflect(v: &[f64], matrix: &mut [f64], start: usize, columns: usize) {
             .zip(&sums)
             .for_each(|(entry, sum)| *entry -= 2.0 * weight * sum);
     }
+}
+
+/// Product of a matrix of `rows` rows with another matrix.
+pub fn product(left: &[f64], right: &[f64], rows: usize) -> Vec<f64> {
+    let inner = left.len() / rows;
+    let columns = right.len() / inner;
+    let mut result = vec![0.0; rows * columns];
+    for (i, target) in result.chunks_exact_mut(columns).enumerate() {
+        for (weight, row) in left[i * inner..][..inner]
+            .iter()
+            .zip(right.chunks_exact(columns))
+        {
+            target
+                .iter_mut()
+                .zip(row)
+                .for_each(|(sum, entry)| *sum += weight * entry);
+        }
+    }
+    result
+}
+
+/// Transpose of a matrix of `rows` rows.
+pub fn transposed(matrix: &[f64], rows: usize) -> Vec<f64> {
+    let columns = matrix.len() / rows;
+    (0..columns * rows)
+        .map(|index| matrix[index % rows * columns + index / rows])
+        .collect()
 }
 
 #[cfg(test)]

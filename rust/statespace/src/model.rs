@@ -120,38 +120,27 @@ impl Model {
 /// One uninterrupted record.
 #[derive(Clone, Copy, Debug)]
 pub struct Record<'a> {
-    /// (n_samples, m), row-major.
-    pub inputs: &'a [f64],
-    /// (n_samples, p), row-major.
-    pub outputs: &'a [f64],
+    /// Inputs and outputs of every sample: (n_samples, m + p), row-major.
+    pub samples: &'a [f64],
     /// Number of samples.
     pub len: usize,
 }
 
-/// Splits stacked data into records.
+/// Splits stacked samples [u, y] into records.
 ///
 /// # Panics
 /// The lengths do not add up to the number of rows.
-pub fn split<'a>(
-    shape: Shape,
-    inputs: &'a [f64],
-    outputs: &'a [f64],
-    lengths: &[usize],
-) -> Vec<Record<'a>> {
+pub fn split<'a>(shape: Shape, samples: &'a [f64], lengths: &[usize]) -> Vec<Record<'a>> {
+    let width = shape.inputs + shape.outputs;
     let total: usize = lengths.iter().sum();
-    assert_eq!(inputs.len(), total * shape.inputs, "rows of inputs");
-    assert_eq!(outputs.len(), total * shape.outputs, "rows of outputs");
-    let mut start = 0;
+    assert_eq!(samples.len(), total * width, "rows of samples");
+    let mut rest = samples;
     lengths
         .iter()
         .map(|&len| {
-            let rows = start..start + len;
-            start += len;
-            Record {
-                inputs: &inputs[rows.start * shape.inputs..rows.end * shape.inputs],
-                outputs: &outputs[rows.start * shape.outputs..rows.end * shape.outputs],
-                len,
-            }
+            let (samples, later) = rest.split_at(len * width);
+            rest = later;
+            Record { samples, len }
         })
         .collect()
 }

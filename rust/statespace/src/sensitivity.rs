@@ -14,7 +14,7 @@
 
 use crate::linalg::solve_lower;
 use crate::model::{Model, Record, Shape};
-use crate::predictor::append_innovations;
+use crate::predictor::Predictor;
 use strainwave_numerics::products::{BASELINE_IS_FUSED, Part, Rows, add_products, multiply_add};
 
 /// Number of samples whose derivatives are stored before they are summed; they fit into the
@@ -27,19 +27,6 @@ const MIN_RELATIVE_STATE: f64 = 1e-150;
 
 /// Vectors have four lanes.
 const LANES: usize = 4;
-
-/// Entries of the model with respect to which derivatives are computed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Entries {
-    /// All entries and the initial states.
-    All,
-    /// B, D and the initial states, in which the innovations are linear.
-    Linear,
-    /// B and the initial states.
-    WithoutFeedthrough,
-    /// The initial states.
-    InitialStates,
-}
 
 /// Sums J'WJ, J'We and e'We over all entries of the model and all initial states.
 #[derive(Clone, Debug)]
@@ -54,13 +41,10 @@ pub struct NormalEquations {
 
 /// Normal equations of the whitened innovations L^-1 e, with L the lower Cholesky factor of the
 /// weighting covariance.
-///
-/// Sums with entries of the model that are not in `with_respect_to` are zero.
 pub fn normal_equations(
     model: &Model,
     records: &[Record<'_>],
     whitener: &[f64],
-    with_respect_to: Entries,
 ) -> NormalEquations {
     let size = model.values.len();
     let (entries, n) = (model.shape.entries(), model.shape.order);
@@ -70,7 +54,7 @@ pub fn normal_equations(
         sum_of_squares: 0.0,
     };
     for (index, record) in records.iter().enumerate() {
-        let mut filters = Filters::new(model, index, whitener, with_respect_to);
+        let mut filters = Filters::new(model, index, whitener);
         let (stride, error) = (filters.row.stride, filters.row.error);
         let width = (error + 1).next_multiple_of(LANES);
         let mut sums = vec![0.0; width * stride];
@@ -113,7 +97,7 @@ pub fn normal_equations(
 /// The last n columns are those of the record's initial state.
 pub fn jacobian(model: &Model, record: &Record<'_>, index: usize) -> Vec<f64> {
     let p = model.shape.outputs;
-    let mut filters = Filters::new(model, index, &identity(p), Entries::All);
+    let mut filters = Filters::new(model, index, &identity(p));
     let (stride, terms) = (filters.row.stride, filters.row.terms(model));
     let mut stacked = Vec::with_capacity(record.len * p * terms.len());
     filters.run(record, |rows, count| {
@@ -133,7 +117,7 @@ pub fn jacobian(model: &Model, record: &Record<'_>, index: usize) -> Vec<f64> {
 /// Used for covariances that remain valid if the innovations are not white.
 pub fn scores(model: &Model, record: &Record<'_>, index: usize, whitener: &[f64]) -> Vec<f64> {
     let p = model.shape.outputs;
-    let mut filters = Filters::new(model, index, whitener, Entries::All);
+    let mut filters = Filters::new(model, index, whitener);
     let (stride, error) = (filters.row.stride, filters.row.error);
     let terms = filters.row.terms(model);
     let mut scores = Vec::with_capacity(record.len * terms.len());
@@ -171,53 +155,32 @@ fn pairs<'a>(left: &'a Terms, right: &'a Terms) -> impl Iterator<Item = (usize, 
 #[derive(Clone, Copy)]
 struct Row {
     shape: Shape,
-    entries: Entries,
     lanes: usize,
     direct: usize,
     error: usize,
     stride: usize,
 }
 
-/// Numbers of signals x, u and e that drive filters, and of signals x and u with direct terms.
-struct Signals {
-    driving: [usize; 3],
-    direct: [usize; 2],
-}
-
-impl Signals {
-    #[inline(always)]
-    fn of(shape: Shape, entries: Entries) -> Self {
-        let Shape {
-            order: n,
-            inputs: m,
-            outputs: p,
-        } = shape;
-        let (driving, direct) = match entries {
-            Entries::All => ([n, m, p], [n, m]),
-            Entries::Linear => ([0, m, 0], [0, m]),
-            Entries::WithoutFeedthrough => ([0, m, 0], [0, 0]),
-            Entries::InitialStates => ([0, 0, 0], [0, 0]),
-        };
-        Self { driving, direct }
-    }
-
-    /// First filter of each signal, and of the initial state.
-    #[inline(always)]
-    fn first_filters(&self, order: usize) -> [usize; 4] {
-        let [x, u, e] = self.driving;
-        [0, order * x, order * (x + u), order * (x + u + e)]
-    }
+/// First filters of the entries of A, B and K, and of the initial state.
+#[inline(always)]
+fn first_filters(shape: Shape) -> [usize; 4] {
+    let Shape {
+        order: n,
+        inputs: m,
+        outputs: p,
+    } = shape;
+    [0, n * n, n * (n + m), n * (n + m + p)]
 }
 
 impl Row {
-    fn new(shape: Shape, entries: Entries) -> Self {
-        let (n, p, signals) = (shape.order, shape.outputs, Signals::of(shape, entries));
-        let direct = signals.first_filters(n)[3] + n;
-        let error = direct + p * signals.direct.iter().sum::<usize>();
+    #[inline(always)]
+    fn new(shape: Shape) -> Self {
+        let (n, m, p) = (shape.order, shape.inputs, shape.outputs);
+        let direct = first_filters(shape)[3] + n;
+        let error = direct + p * (n + m);
         let lanes = direct.next_multiple_of(LANES);
         Self {
             shape,
-            entries,
             lanes,
             direct,
             error,
@@ -225,49 +188,32 @@ impl Row {
         }
     }
 
-    fn signals(&self) -> Signals {
-        Signals::of(self.shape, self.entries)
-    }
-
-    /// Derivative with respect to each entry in the model's order, then to the initial state; no
-    /// terms for entries without derivatives.
+    /// Derivative with respect to each entry in the model's order, then to the initial state.
     fn terms(&self, model: &Model) -> Vec<Terms> {
         let Shape {
             order: n,
             inputs: m,
             outputs: p,
         } = self.shape;
-        let (k, signals) = (model.k(), self.signals());
-        let [of_a, of_b, of_k, of_state] = signals.first_filters(n);
-        let filters = |first: usize, all: usize, width: usize| {
-            (0..n * all).map(move |i| match width {
-                0 => vec![],
-                _ => vec![(first + i, 1.0)],
-            })
-        };
+        let k = model.k();
+        let [of_a, of_b, of_k, of_state] = first_filters(self.shape);
+        let filters = |first: usize, count: usize| (first..first + count).map(|i| vec![(i, 1.0)]);
         // An entry of C or D acts directly on output i, and through K on every state.
         let output = |i: usize, direct: usize, first: usize, width: usize| {
             let mut terms = vec![(direct, 1.0)];
             terms.extend((0..n).map(|l| (first + l * width, -k[l * p + i])));
             terms
         };
-        let [direct_x, direct_u] = signals.direct;
-        let mut terms: Vec<Terms> = filters(of_a, n, signals.driving[0]).collect();
-        terms.extend(filters(of_b, m, signals.driving[1]));
+        let mut terms: Vec<Terms> = filters(of_a, n * n).collect();
+        terms.extend(filters(of_b, n * m));
         for (i, j) in (0..p * n).map(|index| (index / n, index % n)) {
-            terms.push(match direct_x {
-                0 => vec![],
-                _ => output(i, self.direct + i * n + j, of_a + j, n),
-            });
+            terms.push(output(i, self.direct + i * n + j, of_a + j, n));
         }
         for (i, j) in (0..p * m).map(|index| (index / m, index % m)) {
-            terms.push(match direct_u {
-                0 => vec![],
-                _ => output(i, self.direct + p * direct_x + i * m + j, of_b + j, m),
-            });
+            terms.push(output(i, self.direct + p * n + i * m + j, of_b + j, m));
         }
-        terms.extend(filters(of_k, p, signals.driving[2]));
-        terms.extend(filters(of_state, 1, 1));
+        terms.extend(filters(of_k, n * p));
+        terms.extend(filters(of_state, n));
         terms
     }
 }
@@ -290,12 +236,12 @@ struct Filters<'a> {
 }
 
 impl<'a> Filters<'a> {
-    fn new(model: &'a Model, index: usize, whitener: &[f64], entries: Entries) -> Self {
-        let row = Row::new(model.shape, entries);
+    fn new(model: &'a Model, index: usize, whitener: &[f64]) -> Self {
+        let row = Row::new(model.shape);
         let (n, p) = (model.shape.order, model.shape.outputs);
         let mut s = vec![0.0; n * row.lanes];
         for i in 0..n {
-            s[i * row.lanes + row.signals().first_filters(n)[3] + i] = 1.0;
+            s[i * row.lanes + first_filters(model.shape)[3] + i] = 1.0;
         }
         Self {
             model,
@@ -321,13 +267,14 @@ impl<'a> Filters<'a> {
             outputs: p,
             ..
         } = self.model.shape;
-        let mut innovations = Vec::with_capacity(record.len * p);
-        append_innovations(self.model, record, self.index, &mut innovations);
+        let mut predictor = Predictor::new(self.model, self.index);
+        let mut innovations = vec![0.0; BLOCK * p];
         let mut rows = vec![0.0; BLOCK * p * self.row.stride];
-        let inputs = record.inputs.chunks(BLOCK * m);
-        for (u, e) in inputs.zip(innovations.chunks(BLOCK * p)) {
+        for samples in record.samples.chunks(BLOCK * (m + p)) {
+            let e = &mut innovations[..samples.len() / (m + p) * p];
+            predictor.advance(samples, e);
             self.clear_decayed_states();
-            self.fill(u, e, &mut rows);
+            self.fill(samples, e, &mut rows);
             receive(&rows[..e.len() * self.row.stride], e.len());
         }
     }
@@ -338,7 +285,7 @@ impl<'a> Filters<'a> {
     /// calculate about ten times slower.
     fn clear_decayed_states(&mut self) {
         let n = self.model.shape.order;
-        let offset = self.row.signals().first_filters(n)[3];
+        let offset = first_filters(self.model.shape)[3];
         let rows = self.s.chunks_exact_mut(self.row.lanes);
         for value in rows.flat_map(|row| &mut row[offset..offset + n]) {
             if value.abs() < MIN_RELATIVE_STATE {
@@ -349,48 +296,32 @@ impl<'a> Filters<'a> {
 
     /// Computes the rows of one block, with vector instructions if the processor has them (decided
     /// at run time on x86-64).
-    fn fill(&mut self, u: &[f64], e: &[f64], rows: &mut [f64]) {
+    fn fill(&mut self, z: &[f64], e: &[f64], rows: &mut [f64]) {
         #[cfg(target_arch = "x86_64")]
         if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
             // SAFETY: both features have just been detected.
-            return unsafe { self.fill_avx2(u, e, rows) };
+            return unsafe { self.fill_avx2(z, e, rows) };
         }
-        self.fill_body::<BASELINE_IS_FUSED>(u, e, rows);
+        self.fill_body::<BASELINE_IS_FUSED>(z, e, rows);
     }
 
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx2,fma")]
-    fn fill_avx2(&mut self, u: &[f64], e: &[f64], rows: &mut [f64]) {
-        self.fill_body::<true>(u, e, rows);
+    fn fill_avx2(&mut self, z: &[f64], e: &[f64], rows: &mut [f64]) {
+        self.fill_body::<true>(z, e, rows);
     }
 
     /// Common sizes are compile-time constants, so that their loops are unrolled.
     #[inline(always)]
-    fn fill_body<const FUSED: bool>(&mut self, u: &[f64], e: &[f64], rows: &mut [f64]) {
+    fn fill_body<const FUSED: bool>(&mut self, z: &[f64], e: &[f64], rows: &mut [f64]) {
         let shape = self.model.shape;
         match (shape.order, shape.inputs, shape.outputs) {
-            (2, 2, 2) => self.entries::<FUSED, 2, 2, 2>(u, e, rows),
-            (3, 2, 2) => self.entries::<FUSED, 3, 2, 2>(u, e, rows),
-            (4, 2, 2) => self.entries::<FUSED, 4, 2, 2>(u, e, rows),
-            (5, 2, 2) => self.entries::<FUSED, 5, 2, 2>(u, e, rows),
-            (6, 2, 2) => self.entries::<FUSED, 6, 2, 2>(u, e, rows),
-            _ => self.entries::<FUSED, 0, 0, 0>(u, e, rows),
-        }
-    }
-
-    #[inline(always)]
-    fn entries<const FUSED: bool, const N: usize, const M: usize, const P: usize>(
-        &mut self,
-        u: &[f64],
-        e: &[f64],
-        rows: &mut [f64],
-    ) {
-        use Entries::{All, InitialStates, Linear, WithoutFeedthrough};
-        match self.row.entries {
-            All => self.samples::<FUSED, N, M, P>(All, u, e, rows),
-            Linear => self.samples::<FUSED, N, M, P>(Linear, u, e, rows),
-            WithoutFeedthrough => self.samples::<FUSED, N, M, P>(WithoutFeedthrough, u, e, rows),
-            InitialStates => self.samples::<FUSED, N, M, P>(InitialStates, u, e, rows),
+            (2, 2, 2) => self.samples::<FUSED, 2, 2, 2>(z, e, rows),
+            (3, 2, 2) => self.samples::<FUSED, 3, 2, 2>(z, e, rows),
+            (4, 2, 2) => self.samples::<FUSED, 4, 2, 2>(z, e, rows),
+            (5, 2, 2) => self.samples::<FUSED, 5, 2, 2>(z, e, rows),
+            (6, 2, 2) => self.samples::<FUSED, 6, 2, 2>(z, e, rows),
+            _ => self.samples::<FUSED, 0, 0, 0>(z, e, rows),
         }
     }
 
@@ -399,8 +330,7 @@ impl<'a> Filters<'a> {
     #[inline(always)]
     fn samples<const FUSED: bool, const N: usize, const M: usize, const P: usize>(
         &mut self,
-        entries: Entries,
-        u: &[f64],
+        z: &[f64],
         e: &[f64],
         rows: &mut [f64],
     ) {
@@ -412,11 +342,12 @@ impl<'a> Filters<'a> {
                 outputs: P,
             },
         };
-        let row = Row::new(shape, entries);
-        let samples = u
-            .chunks_exact(shape.inputs)
+        let row = Row::new(shape);
+        let samples = z
+            .chunks_exact(shape.inputs + shape.outputs)
             .zip(e.chunks_exact(shape.outputs));
-        for ((u, e), rows) in samples.zip(rows.chunks_exact_mut(shape.outputs * row.stride)) {
+        for ((z, e), rows) in samples.zip(rows.chunks_exact_mut(shape.outputs * row.stride)) {
+            let u = &z[..shape.inputs];
             self.emit::<FUSED>(row, u, e, rows);
             self.step::<FUSED>(row, u, e);
         }
@@ -425,9 +356,8 @@ impl<'a> Filters<'a> {
     /// Writes the innovation and its derivatives at the current sample.
     #[inline(always)]
     fn emit<const FUSED: bool>(&mut self, row: Row, u: &[f64], e: &[f64], rows: &mut [f64]) {
-        let (n, p) = (row.shape.order, row.shape.outputs);
+        let (n, m, p) = (row.shape.order, row.shape.inputs, row.shape.outputs);
         let (lanes, direct, error) = (row.lanes, row.direct, row.error);
-        let [direct_x, direct_u] = row.signals().direct;
         for (o, row) in rows.chunks_exact_mut(row.stride).enumerate() {
             combine::<FUSED>(
                 &self.output[o * n..][..n],
@@ -438,11 +368,11 @@ impl<'a> Filters<'a> {
             row[error] = 0.0;
             for i in 0..p {
                 let weight = self.whitening[o * p + i];
-                for j in 0..direct_x {
-                    row[direct + i * direct_x + j] = weight * self.x[j];
+                for j in 0..n {
+                    row[direct + i * n + j] = weight * self.x[j];
                 }
-                for j in 0..direct_u {
-                    row[direct + p * direct_x + i * direct_u + j] = weight * u[j];
+                for j in 0..m {
+                    row[direct + p * n + i * m + j] = weight * u[j];
                 }
                 row[error] -= weight * e[i];
             }
@@ -458,12 +388,11 @@ impl<'a> Filters<'a> {
             outputs: p,
         } = row.shape;
         let (a, b, k) = (self.model.a(), self.model.b(), self.model.k());
-        let (lanes, signals) = (row.lanes, row.signals());
-        let first = signals.first_filters(n);
+        let (lanes, first) = (row.lanes, first_filters(row.shape));
         for (l, row) in self.next.chunks_exact_mut(lanes).enumerate() {
             combine::<FUSED>(&self.closed[l * n..][..n], &self.s, lanes, row);
             for (index, signal) in [&self.x[..n], &u[..m], &e[..p]].into_iter().enumerate() {
-                let width = signals.driving[index];
+                let width = signal.len();
                 row[first[index] + l * width..][..width]
                     .iter_mut()
                     .zip(signal)
@@ -471,14 +400,12 @@ impl<'a> Filters<'a> {
             }
         }
         std::mem::swap(&mut self.s, &mut self.next);
-        if row.entries == Entries::All {
-            for l in 0..n {
-                self.next_x[l] = dot(&a[l * n..][..n], &self.x[..n])
-                    + dot(&b[l * m..][..m], &u[..m])
-                    + dot(&k[l * p..][..p], &e[..p]);
-            }
-            std::mem::swap(&mut self.x, &mut self.next_x);
+        for l in 0..n {
+            self.next_x[l] = dot(&a[l * n..][..n], &self.x[..n])
+                + dot(&b[l * m..][..m], &u[..m])
+                + dot(&k[l * p..][..p], &e[..p]);
         }
+        std::mem::swap(&mut self.x, &mut self.next_x);
     }
 }
 
@@ -518,60 +445,4 @@ fn whitened(factor: &[f64], matrix: &[f64], p: usize, columns: usize) -> Vec<f64
         (0..p).for_each(|i| result[i * columns + j] = column[i]);
     }
     result
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::model::split;
-
-    /// Sums with the selected entries are those of all entries; the others are zero.
-    #[test]
-    fn selected_entries_have_the_sums_of_all() {
-        for (order, inputs, outputs) in [(3, 2, 2), (2, 1, 3)] {
-            let shape = Shape {
-                order,
-                inputs,
-                outputs,
-            };
-            let lengths = [70, 45];
-            let number = |k: usize| ((k * 37 % 101) as f64 - 50.0) / 100.0;
-            let signal = |width: usize| (0..115 * width).map(number).collect::<Vec<_>>();
-            let values = (0..shape.initial_state(2).start).map(|k| 0.4 * number(k + 5));
-            let model = Model {
-                shape,
-                values: values.collect(),
-            };
-            let (u, y) = (signal(inputs), signal(outputs));
-            let records = split(shape, &u, &y, &lengths);
-            let mut whitener = identity(outputs);
-            whitener[outputs] = 0.3;
-            let all = normal_equations(&model, &records, &whitener, Entries::All);
-            let states: Vec<usize> = (shape.entries()..model.values.len()).collect();
-            let b: Vec<usize> = shape.b().chain(states.clone()).collect();
-            let linear: Vec<usize> = b.iter().copied().chain(shape.d()).collect();
-            for (entries, selected) in [
-                (Entries::Linear, linear),
-                (Entries::WithoutFeedthrough, b),
-                (Entries::InitialStates, states),
-            ] {
-                let part = normal_equations(&model, &records, &whitener, entries);
-                let size = model.values.len();
-                let expected =
-                    |at: &[usize], sum: f64| match at.iter().all(|i| selected.contains(i)) {
-                        true => sum,
-                        false => 0.0,
-                    };
-                for i in 0..size {
-                    let gradient = expected(&[i], all.gradient[i]);
-                    assert!((part.gradient[i] - gradient).abs() < 1e-12);
-                    for j in 0..size {
-                        let sum = expected(&[i, j], all.hessian[i * size + j]);
-                        assert!((part.hessian[i * size + j] - sum).abs() < 1e-12);
-                    }
-                }
-                assert!((part.sum_of_squares - all.sum_of_squares).abs() < 1e-12);
-            }
-        }
-    }
 }

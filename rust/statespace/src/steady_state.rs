@@ -1,7 +1,10 @@
 //! Steady states of linear models, by doubling: each step squares the number of samples, so that
 //! convergence is quadratic. Matrices are row-major.
 
-use crate::linalg::inverse;
+use crate::linalg::{cholesky, inverse, product, solve_lower_transposed, transposed};
+use crate::model::Model;
+use crate::stability::is_stable;
+use strainwave_numerics::singular;
 
 /// Largest number of doublings.
 const MAX_DOUBLINGS: usize = 60;
@@ -11,6 +14,13 @@ const GRAMIAN_TOLERANCE: f64 = 1e-15;
 
 /// The same for the covariance of the state.
 const COVARIANCE_TOLERANCE: f64 = 1e-14;
+
+/// Process noise that a stabilising gain assumes on every state in successive attempts, relative to
+/// the mean variance of the innovations.
+const PROCESS_NOISE_SHARES: [f64; 4] = [1e-9, 1e-6, 1e-3, 1.0];
+
+/// Smallest square of a Hankel singular value relative to the largest; smaller ones are rounding.
+const MIN_HANKEL_SQUARE_RATIO: f64 = 1e-24;
 
 /// Solution X (n, n) of X = A X A' + B B' for stable A (n, n) and B (n, m).
 pub fn gramian(a: &[f64], b: &[f64], n: usize) -> Vec<f64> {
@@ -87,38 +97,106 @@ pub fn innovations_gain(
     Some((product(&gain, &covariance_inverse, n), covariance))
 }
 
+/// Gain K, or the gain of the stable predictor with the same noise spectrum.
+///
+/// K (n, p) is returned if A - K C is stable. Otherwise the Riccati equation with w = K e and v = e
+/// gives the stable predictor, for innovations e with a `covariance` (p, p). A small process noise
+/// on every state moves eigenvalues away from the unit circle.
+pub fn stabilising_gain(
+    a: &[f64],
+    c: &[f64],
+    mut gain: Vec<f64>,
+    covariance: &[f64],
+    n: usize,
+    p: usize,
+) -> Vec<f64> {
+    let scale = (0..p).map(|o| covariance[o * p + o]).sum::<f64>() / p as f64;
+    for share in PROCESS_NOISE_SHARES {
+        let mut predictor = a.to_vec();
+        subtract(&mut predictor, &product(&gain, c, n));
+        if is_stable(&predictor, n) {
+            break;
+        }
+        let cross = product(&gain, covariance, n);
+        let mut state = product(&cross, &transposed(&gain, n), n);
+        (0..n).for_each(|i| state[i * n + i] += share * scale);
+        let noise = Noise {
+            state: &state,
+            cross: &cross,
+            output: covariance,
+        };
+        gain = innovations_gain(a, c, noise, n, p).map_or(vec![f64::NAN; n * p], |(gain, _)| gain);
+    }
+    gain
+}
+
+/// State transformation T that balances the predictor, and its inverse.
+///
+/// In the coordinates T x, the controllability and observability Gramians of (A - K C, [B, K], C)
+/// are equal and diagonal, which keeps the normal equations of a fit well conditioned. `None` if the
+/// predictor is unstable or a Gramian is singular.
+pub fn balancing(model: &Model) -> Option<(Vec<f64>, Vec<f64>)> {
+    let (n, m, p) = (model.shape.order, model.shape.inputs, model.shape.outputs);
+    let predictor = model.predictor_matrix();
+    if !is_stable(&predictor, n) {
+        return None;
+    }
+    let rows = model.b().chunks_exact(m).zip(model.k().chunks_exact(p));
+    let driven: Vec<f64> = rows.flat_map(|(b, k)| [b, k].concat()).collect();
+    let lower = cholesky(&gramian(&predictor, &driven, n), n)?;
+    let observability = gramian(&transposed(&predictor, n), &transposed(model.c(), p), n);
+    let weighted = product(
+        &product(&transposed(&lower, n), &observability, n),
+        &lower,
+        n,
+    );
+    // squares of the Hankel singular values
+    let singular::Decomposition { values, right, .. } = singular::decompose(&weighted, n, &[]);
+    if !(values[n - 1] > MIN_HANKEL_SQUARE_RATIO * values[0]) {
+        return None;
+    }
+    // T = S^(1/2) U' L^-1, where S holds the Hankel singular values, in ascending order
+    let (mut forward, mut backward) = (vec![], vec![0.0; n * n]);
+    for (k, &square) in values.iter().rev().enumerate() {
+        let root = square.sqrt().sqrt();
+        let mut row = right[(n - 1 - k) * n..][..n].to_vec();
+        for (i, entry) in product(&lower, &row, n).into_iter().enumerate() {
+            backward[i * n + k] = entry / root;
+        }
+        solve_lower_transposed(&lower, n, &mut row);
+        forward.extend(row.into_iter().map(|entry| root * entry));
+    }
+    Some((forward, backward))
+}
+
+/// Transforms a model to the coordinates of [`balancing`], if they exist.
+pub fn balance(model: &mut Model) {
+    let Some((forward, backward)) = balancing(model) else {
+        return;
+    };
+    let (shape, n) = (model.shape, model.shape.order);
+    let a = product(&product(&forward, model.a(), n), &backward, n);
+    let b = product(&forward, model.b(), n);
+    let c = product(model.c(), &backward, shape.outputs);
+    let k = product(&forward, model.k(), n);
+    for (range, part) in [
+        (shape.a(), a),
+        (shape.b(), b),
+        (shape.c(), c),
+        (shape.k(), k),
+    ] {
+        model.values[range].copy_from_slice(&part);
+    }
+    for state in model.values[shape.entries()..].chunks_exact_mut(n) {
+        state.copy_from_slice(&product(&forward, state, n));
+    }
+}
+
 /// Whether an increment is small against a sum, or one of them is not a number.
 fn has_converged(increment: &[f64], sum: &[f64], tolerance: f64) -> bool {
     let is_finite = increment.iter().chain(sum).all(|entry| entry.is_finite());
     let largest = |entries: &[f64]| entries.iter().fold(0.0, |max: f64, x| max.max(x.abs()));
     !is_finite || largest(increment) <= tolerance * largest(sum)
-}
-
-/// Product of a matrix of `rows` rows with another matrix.
-fn product(left: &[f64], right: &[f64], rows: usize) -> Vec<f64> {
-    let inner = left.len() / rows;
-    let columns = right.len() / inner;
-    let mut result = vec![0.0; rows * columns];
-    for (i, target) in result.chunks_exact_mut(columns).enumerate() {
-        for (weight, row) in left[i * inner..][..inner]
-            .iter()
-            .zip(right.chunks_exact(columns))
-        {
-            target
-                .iter_mut()
-                .zip(row)
-                .for_each(|(sum, entry)| *sum += weight * entry);
-        }
-    }
-    result
-}
-
-/// Transpose of a matrix of `rows` rows.
-fn transposed(matrix: &[f64], rows: usize) -> Vec<f64> {
-    let columns = matrix.len() / rows;
-    (0..columns * rows)
-        .map(|index| matrix[index % rows * columns + index / rows])
-        .collect()
 }
 
 /// Mean of a square matrix and its transpose.
@@ -142,6 +220,7 @@ fn subtract(target: &mut [f64], change: &[f64]) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::model::Shape;
 
     const A: [f64; 4] = [0.9, 0.3, -0.2, 0.7];
     const C: [f64; 2] = [1.0, 0.5];
@@ -174,6 +253,40 @@ mod tests {
         let (k, covariance) = innovations_gain(&A, &C, noise, 2, 1).unwrap();
         assert_close(&k, &gain);
         assert_close(&covariance, &variance);
+    }
+
+    /// An unstable predictor is replaced by one whose noise has the same spectrum: for a first-order
+    /// model, that of the reflected zero, a - k = 1 / 2 instead of 2.
+    #[test]
+    fn gain_of_unstable_predictor_reflects_the_zero() {
+        let gain = stabilising_gain(&[0.8], &[1.0], vec![-1.2], &[1.0], 1, 1);
+        // process noise of 1e-9
+        assert!((gain[0] - 0.3).abs() < 1e-9);
+        assert_close(
+            &stabilising_gain(&[0.8], &[1.0], vec![0.1], &[1.0], 1, 1),
+            &[0.1],
+        );
+    }
+
+    #[test]
+    fn balanced_model_has_equal_diagonal_gramians() {
+        let shape = Shape {
+            order: 2,
+            inputs: 1,
+            outputs: 1,
+        };
+        let values = [&A[..], &[0.4, 1.0], &C, &[0.2], &[0.3, -0.1], &[1.0, 2.0]].concat();
+        let mut model = Model { shape, values };
+        let (forward, backward) = balancing(&model).unwrap();
+        assert_close(&product(&forward, &backward, 2), &[1.0, 0.0, 0.0, 1.0]);
+        balance(&mut model);
+        let (f, b, k) = (model.predictor_matrix(), model.b(), model.k());
+        let x = gramian(&f, &[b[0], k[0], b[1], k[1]], 2);
+        assert_close(&x, &gramian(&transposed(&f, 2), model.c(), 2));
+        assert!(x[1].abs() < 1e-12 && x[0] < x[3]);
+        assert_close(&product(&backward, model.initial_state(0), 2), &[1.0, 2.0]);
+        model.values[shape.a()].copy_from_slice(&[2.0, 0.0, 0.0, 2.0]);
+        assert!(balancing(&model).is_none());
     }
 
     #[test]
