@@ -313,8 +313,9 @@ def is_stable(matrix: NDArray[np.float64]) -> bool:
 class Innovations:
     """Stacked records and the sizes of a model for them.
 
-    `samples` are rows of inputs and outputs, contiguous, which are not copied. `values` are A, B, C, D, K row by row and one initial state a record. A `whitener` L is the
-    lower factor of the innovations' covariance. Sizes that do not fit raise ValueError.
+    `samples` are rows of inputs and outputs, contiguous, which are not copied. `values` are A, B,
+    C, D, K row by row and one initial state a record. A `whitener` L is the lower factor of the
+    innovations' covariance. Sizes that do not fit raise ValueError.
     """
 
     def __new__(

@@ -116,7 +116,7 @@ class Arm(ArmDescription):
 
     @cached_property
     def _inverse_transmission(self) -> FloatArray:
-        return np.linalg.inv(self.transmission)
+        return np.asarray(np.linalg.inv(self.transmission))
 
     @cached_property
     def torque_per_volt(self) -> FloatArray:
@@ -309,7 +309,7 @@ class Arm(ArmDescription):
 
     def inertia_matrix(self, base: FloatArray, angle: FloatArray) -> FloatArray:
         """M(q) of the links, (3): (n_joints, n_joints) [kg m^2]."""
-        return self.inertia_matrices(base, angle[None])[0]
+        return np.asarray(self.inertia_matrices(base, angle[None])[0])
 
     def inertia_matrices(self, base: FloatArray, angles: FloatArray) -> FloatArray:
         """M(q) at several link angles (n_postures, n_joints): (n_postures, n_joints, n_joints)."""

@@ -163,7 +163,7 @@ def rows_of(equations: Equations, root: FloatArray, targets: FloatArray) -> Redu
 def _reduced(
     equations: Equations, root: FloatArray, table: FloatArray, sizes: tuple[int, int]
 ) -> ReducedRows:
-    """Eliminate the local parameters of rows with other columns, the first ones of given numbers."""
+    """Eliminate the local parameters of rows with other columns, the first of given numbers."""
     parts = [
         (part.rows, part.columns.first, part.columns.entries, part.columns.n_columns)
         for part in equations.local

@@ -38,7 +38,7 @@ def one_blas_thread() -> Iterator[None]:
 
 
 @cache
-def _blas_libraries(with_scipy: bool) -> ThreadpoolController:  # noqa: ARG001 - SciPy has another
+def _blas_libraries(with_scipy: bool) -> ThreadpoolController:  # SciPy has another
     """Loaded BLAS libraries; the search for them takes as long as a small fit."""
     from threadpoolctl import ThreadpoolController
 

@@ -278,7 +278,7 @@ fn reflection<const FUSED: bool>(x: &mut [f64]) -> (f64, f64) {
     let scale = x
         .iter()
         .fold(0.0_f64, |scale, entry| scale.max(entry.abs()));
-    if !(scale > 0.0) {
+    if scale == 0.0 {
         return (0.0, 0.0);
     }
     x.iter_mut().for_each(|entry| *entry /= scale);

@@ -231,8 +231,8 @@ def assemble(
     only is zero, because it acts as Coulomb friction.
 
     Without `linearised_at`, the joints are rigid, the prior of the free friction is the size of the
-    torque, and there are no `terms`, whose unknowns are common to all rows. `previous` are equations
-    of the same records around another estimate, of which the constant parts are reused.
+    torque, and there are no `terms`, whose unknowns are common to all rows. `previous` are
+    equations of the same records around another estimate, whose constant parts are reused.
     """
     offset_share = slides_both_ways(stretches)
     parts = [
@@ -261,7 +261,8 @@ def assemble(
 
 def _constant_parts(arm: Arm, stretches: Sequence[FilteredRecord]) -> Equations:
     """Equations of all records without the entries that depend on the estimate."""
-    local, blocks, first_row, first_block = [], [], 0, 0
+    local = list[Local]()
+    blocks, first_row, first_block = [], 0, 0
     for stretch, count in zip(stretches, blocks_of(stretches), strict=True):
         ends = first_row + np.searchsorted(stretch.joint, np.arange(arm.n_joints + 1))
         rows = (np.arange(*pair) for pair in itertools.pairwise(ends.tolist()))
@@ -364,7 +365,7 @@ def estimate_of(
 
 
 def mix_estimates(one: Estimate, other: Estimate, share: float) -> Estimate:
-    """Mean of two estimates of the same records, the other with a share and with its motor shares."""
+    """Mean of two estimates of the same records, with a share of the other and its motor shares."""
     rest = 1.0 - share
     pairs = zip(one.stiction_torque, other.stiction_torque, strict=True)
     return Estimate(
@@ -412,11 +413,11 @@ def _body_equations(
     gears = _gear_torques(arm, stretch, linearised_at, record)
     c, angle = linearised_at.compliance, links[0]
     torsion = c * gears
-    links = np.subtract(links, torsion)
+    links = list(np.subtract(links, torsion))
     n, n_body = arm.n_joints, arm.n_body
     # one filter for all columns: the last is the velocity of the torsion
     columns = np.empty((len(angle), n, n_body + n + 1))
-    columns[:, :, :n_body] = body_regressor(arm, links, torsion, linearised_at.shares.inertia)
+    columns[:, :, :n_body] = body_regressor(arm, links, [*torsion], linearised_at.shares.inertia)
     # motor torque per compliance, -N C^T M_j(q) ddT_j, for the symmetric M: by gear, then by motor
     base = _base(arm, linearised_at) + arm.payload_vector(stretch.signals.experiment.payload)
     lags = arm.motors_of(arm.inertia_matrices(base, angle)) * gears[2][:, :, None]

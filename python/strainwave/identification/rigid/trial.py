@@ -19,9 +19,9 @@ from strainwave.identification.rigid.equations import (
     MotorShares,
     anti_resonances,
     assemble,
-    mix_estimates,
     convert_estimate,
     estimate_of,
+    mix_estimates,
     slides_both_ways,
 )
 from strainwave.identification.rigid.filtered_record import (
