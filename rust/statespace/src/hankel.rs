@@ -202,7 +202,7 @@ mod tests {
         for (depth, expected_rows) in [(9, 17 + 4), (5, 21 + 8 + 3), (1, 47)] {
             let size = depth * WIDTH;
             let order: Vec<usize> = (0..size).map(|i| i * 7 % size).collect();
-            let order = if size % 7 == 0 {
+            let order = if size.is_multiple_of(7) {
                 (0..size).collect()
             } else {
                 order

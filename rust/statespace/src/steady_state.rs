@@ -152,7 +152,8 @@ pub fn balancing(model: &Model) -> Option<(Vec<f64>, Vec<f64>)> {
     );
     // squares of the Hankel singular values
     let singular::Decomposition { values, right, .. } = singular::decompose(&weighted, n, &[]);
-    if !(values[n - 1] > MIN_HANKEL_SQUARE_RATIO * values[0]) {
+    let is_minimal = values[n - 1] > MIN_HANKEL_SQUARE_RATIO * values[0];
+    if !is_minimal {
         return None;
     }
     // T = S^(1/2) U' L^-1, where S holds the Hankel singular values, in ascending order
