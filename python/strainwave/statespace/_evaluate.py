@@ -117,9 +117,9 @@ def fit_percent(measured: FloatArray, *errors: FloatArray) -> list[tuple[float, 
     A fit is -inf if the model diverges.
     """
     with np.errstate(all="ignore"):
-        # sums over contiguous samples are many times faster than those along the first axis
-        centred = np.ascontiguousarray(measured.T)
-        centred = centred - centred.mean(axis=1, keepdims=True)
+        # by products and contiguous samples, many times faster than sums along the first axis
+        mean = np.ones(len(measured)) @ measured / len(measured)
+        centred = np.subtract(measured.T, mean[:, None], order="C")
         scale = np.sqrt(np.vecdot(centred, centred))
         scale = np.where(scale > 0.0, scale, np.nan)
         fits = [100.0 * (1.0 - np.sqrt(np.vecdot(e.T, e.T)) / scale) for e in errors]
