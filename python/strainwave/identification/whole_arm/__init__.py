@@ -7,6 +7,7 @@ results of the earlier stages.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 
 from strainwave.domain import ArmModel, JointModel, Log, RigidModel, WholeArmOptions
@@ -21,6 +22,7 @@ from strainwave.identification.whole_arm.problem.effect_unknowns import (
     set_record_effects,
     with_effects,
 )
+from strainwave.identification.whole_arm.problem.objective import Objective
 from strainwave.identification.whole_arm.search import (
     Fit,
     Progress,
@@ -166,6 +168,13 @@ def _fit(start: Start, selection: Selection) -> Fit:
     if not fit.end.is_minimum or not are_exceptions(undescribed, fit):
         return fit
     others = [k for k in range(len(start.records)) if k not in undescribed]
+    # from this fit first, which takes a third of the time of another one
+    with suppress(NotIdentifiable):
+        near = fit.restart(fit.objective.select_records(*others), fit.z)
+        near = polish(refine(near, selection.options), selection.options)
+        again = _rejoin(near, fit.objective, selection.options)
+        if not find_undescribed(again):
+            return again
     of_others = replace(
         start,
         records=tuple(start.records[k] for k in others),
@@ -179,12 +188,17 @@ def _fit(start: Start, selection: Selection) -> Fit:
     except NotIdentifiable:
         return fit
     objective = with_effects(fit.objective, without.space, other_selection.arm)
-    rejoined = without.restart(objective.update_weights(without.z), without.z)
-    again = polish(refine(rejoined, selection.options), selection.options)
+    again = _rejoin(without, objective, selection.options)
     if find_undescribed(again):
         return fit
     selection.arm, selection.law_choices = other_selection.arm, other_selection.law_choices
     return again
+
+
+def _rejoin(without: Fit, objective: Objective, options: WholeArmOptions) -> Fit:
+    """Fit of all records of the objective from that of some of them."""
+    rejoined = without.restart(objective.update_weights(without.z), without.z)
+    return polish(refine(rejoined, options), options)
 
 
 def _search(start: Start, selection: Selection) -> Fit:
