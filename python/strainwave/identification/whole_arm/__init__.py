@@ -197,6 +197,7 @@ def _fit(start: Start, selection: Selection) -> Fit:
 
 def _rejoin(without: Fit, objective: Objective, options: WholeArmOptions) -> Fit:
     """Fit of all records of the objective from that of some of them."""
+    without.objective.forget()
     rejoined = without.restart(objective.update_weights(without.z), without.z)
     return polish(refine(rejoined, options), options)
 
