@@ -7,7 +7,7 @@ use strainwave_numerics::products::{BASELINE_IS_FUSED, multiply_add};
 pub const BLOCK: usize = 64;
 
 /// Values of one channel or state in a block.
-type Signal = [f64; BLOCK];
+pub type Signal = [f64; BLOCK];
 
 /// One-step predictor of one record.
 ///
@@ -17,8 +17,8 @@ pub struct Predictor<'a> {
     model: &'a Model,
     /// Inputs, and outputs without D u.
     channels: Vec<Signal>,
-    /// B u.
-    drive: Vec<Signal>,
+    /// B u, which [`Self::advance`] replaces by the states.
+    states: Vec<Signal>,
     x: Vec<f64>,
 }
 
@@ -29,9 +29,17 @@ impl<'a> Predictor<'a> {
         Self {
             model,
             channels: vec![[0.0; BLOCK]; shape.inputs + shape.outputs],
-            drive: vec![[0.0; BLOCK]; shape.order],
+            states: vec![[0.0; BLOCK]; shape.order],
             x: model.initial_state(index).to_vec(),
         }
+    }
+
+    /// States of the last block, one signal each.
+    ///
+    /// An unstable A amplifies rounding: states that are computed again from the innovations
+    /// diverge from these.
+    pub fn states(&self) -> &[Signal] {
+        &self.states
     }
 
     /// Innovations e[k] = y[k] - C x[k] - D u[k] of the next samples, at most [`BLOCK`].
@@ -64,10 +72,10 @@ impl<'a> Predictor<'a> {
             channel.iter_mut().zip(values).for_each(|(c, v)| *c = *v);
         }
         let (inputs, outputs) = self.channels.split_at_mut(m);
-        for (drive, factors) in self.drive.iter_mut().zip(self.model.b().chunks_exact(m)) {
-            drive.fill(0.0);
+        for (state, factors) in self.states.iter_mut().zip(self.model.b().chunks_exact(m)) {
+            state.fill(0.0);
             for (&factor, input) in factors.iter().zip(&*inputs) {
-                add_scaled::<FUSED>(drive, factor, input);
+                add_scaled::<FUSED>(state, factor, input);
             }
         }
         for (output, factors) in outputs.iter_mut().zip(self.model.d().chunks_exact(m)) {
@@ -109,7 +117,7 @@ impl<'a> Predictor<'a> {
                 }
             }
             for i in 0..n {
-                next[i] = self.drive[i][t];
+                next[i] = std::mem::replace(&mut self.states[i][t], x[i]);
                 for l in 0..n {
                     next[i] = multiply_add::<FUSED>(a[i * n + l], x[l], next[i]);
                 }

@@ -14,7 +14,7 @@
 
 use crate::linalg::solve_lower;
 use crate::model::{Model, Record, Shape};
-use crate::predictor::Predictor;
+use crate::predictor::{Predictor, Signal};
 use strainwave_numerics::products::{BASELINE_IS_FUSED, Part, Rows, add_products, multiply_add};
 
 /// Number of samples whose derivatives are stored before they are summed; they fit into the
@@ -228,8 +228,8 @@ struct Filters<'a> {
     /// -L^-1 C and -L^-1.
     output: Vec<f64>,
     whitening: Vec<f64>,
+    /// State of the predictor at the current sample.
     x: Vec<f64>,
-    next_x: Vec<f64>,
     /// (n, lanes)
     s: Vec<f64>,
     next: Vec<f64>,
@@ -251,7 +251,6 @@ impl<'a> Filters<'a> {
             output: whitened(whitener, model.c(), p, n),
             whitening: whitened(whitener, &identity(p), p, p),
             x: model.initial_state(index).to_vec(),
-            next_x: vec![0.0; n],
             next: s.clone(),
             s,
         }
@@ -274,7 +273,7 @@ impl<'a> Filters<'a> {
             let e = &mut innovations[..samples.len() / (m + p) * p];
             predictor.advance(samples, e);
             self.clear_decayed_states();
-            self.fill(samples, e, &mut rows);
+            self.fill(samples, e, predictor.states(), &mut rows);
             receive(&rows[..e.len() * self.row.stride], e.len());
         }
     }
@@ -296,32 +295,38 @@ impl<'a> Filters<'a> {
 
     /// Computes the rows of one block, with vector instructions if the processor has them (decided
     /// at run time on x86-64).
-    fn fill(&mut self, z: &[f64], e: &[f64], rows: &mut [f64]) {
+    fn fill(&mut self, z: &[f64], e: &[f64], states: &[Signal], rows: &mut [f64]) {
         #[cfg(target_arch = "x86_64")]
         if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
             // SAFETY: both features have just been detected.
-            return unsafe { self.fill_avx2(z, e, rows) };
+            return unsafe { self.fill_avx2(z, e, states, rows) };
         }
-        self.fill_body::<BASELINE_IS_FUSED>(z, e, rows);
+        self.fill_body::<BASELINE_IS_FUSED>(z, e, states, rows);
     }
 
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx2,fma")]
-    fn fill_avx2(&mut self, z: &[f64], e: &[f64], rows: &mut [f64]) {
-        self.fill_body::<true>(z, e, rows);
+    fn fill_avx2(&mut self, z: &[f64], e: &[f64], states: &[Signal], rows: &mut [f64]) {
+        self.fill_body::<true>(z, e, states, rows);
     }
 
     /// Common sizes are compile-time constants, so that their loops are unrolled.
     #[inline(always)]
-    fn fill_body<const FUSED: bool>(&mut self, z: &[f64], e: &[f64], rows: &mut [f64]) {
+    fn fill_body<const FUSED: bool>(
+        &mut self,
+        z: &[f64],
+        e: &[f64],
+        states: &[Signal],
+        rows: &mut [f64],
+    ) {
         let shape = self.model.shape;
         match (shape.order, shape.inputs, shape.outputs) {
-            (2, 2, 2) => self.samples::<FUSED, 2, 2, 2>(z, e, rows),
-            (3, 2, 2) => self.samples::<FUSED, 3, 2, 2>(z, e, rows),
-            (4, 2, 2) => self.samples::<FUSED, 4, 2, 2>(z, e, rows),
-            (5, 2, 2) => self.samples::<FUSED, 5, 2, 2>(z, e, rows),
-            (6, 2, 2) => self.samples::<FUSED, 6, 2, 2>(z, e, rows),
-            _ => self.samples::<FUSED, 0, 0, 0>(z, e, rows),
+            (2, 2, 2) => self.samples::<FUSED, 2, 2, 2>(z, e, states, rows),
+            (3, 2, 2) => self.samples::<FUSED, 3, 2, 2>(z, e, states, rows),
+            (4, 2, 2) => self.samples::<FUSED, 4, 2, 2>(z, e, states, rows),
+            (5, 2, 2) => self.samples::<FUSED, 5, 2, 2>(z, e, states, rows),
+            (6, 2, 2) => self.samples::<FUSED, 6, 2, 2>(z, e, states, rows),
+            _ => self.samples::<FUSED, 0, 0, 0>(z, e, states, rows),
         }
     }
 
@@ -332,6 +337,7 @@ impl<'a> Filters<'a> {
         &mut self,
         z: &[f64],
         e: &[f64],
+        states: &[Signal],
         rows: &mut [f64],
     ) {
         let shape = match N {
@@ -346,8 +352,12 @@ impl<'a> Filters<'a> {
         let samples = z
             .chunks_exact(shape.inputs + shape.outputs)
             .zip(e.chunks_exact(shape.outputs));
-        for ((z, e), rows) in samples.zip(rows.chunks_exact_mut(shape.outputs * row.stride)) {
+        let rows = rows.chunks_exact_mut(shape.outputs * row.stride);
+        for (t, ((z, e), rows)) in samples.zip(rows).enumerate() {
             let u = &z[..shape.inputs];
+            for l in 0..shape.order {
+                self.x[l] = states[l][t];
+            }
             self.emit::<FUSED>(row, u, e, rows);
             self.step::<FUSED>(row, u, e);
         }
@@ -387,7 +397,6 @@ impl<'a> Filters<'a> {
             inputs: m,
             outputs: p,
         } = row.shape;
-        let (a, b, k) = (self.model.a(), self.model.b(), self.model.k());
         let (lanes, first) = (row.lanes, first_filters(row.shape));
         for (l, row) in self.next.chunks_exact_mut(lanes).enumerate() {
             combine::<FUSED>(&self.closed[l * n..][..n], &self.s, lanes, row);
@@ -400,12 +409,6 @@ impl<'a> Filters<'a> {
             }
         }
         std::mem::swap(&mut self.s, &mut self.next);
-        for l in 0..n {
-            self.next_x[l] = dot(&a[l * n..][..n], &self.x[..n])
-                + dot(&b[l * m..][..m], &u[..m])
-                + dot(&k[l * p..][..p], &e[..p]);
-        }
-        std::mem::swap(&mut self.x, &mut self.next_x);
     }
 }
 
@@ -424,11 +427,6 @@ fn combine<const FUSED: bool>(weights: &[f64], s: &[f64], lanes: usize, target: 
     }
 }
 
-#[inline(always)]
-fn dot(left: &[f64], right: &[f64]) -> f64 {
-    left.iter().zip(right).map(|(l, r)| l * r).sum()
-}
-
 fn identity(size: usize) -> Vec<f64> {
     (0..size * size)
         .map(|entry| f64::from(u8::from(entry / size == entry % size)))
@@ -445,4 +443,46 @@ fn whitened(factor: &[f64], matrix: &[f64], p: usize, columns: usize) -> Vec<f64
         (0..p).for_each(|i| result[i * columns + j] = column[i]);
     }
     result
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::model::split;
+    use crate::predictor;
+
+    /// Derivatives of an unstable plant with a stable predictor agree with differences of the
+    /// innovations, over a record in which A amplifies rounding by more than 1e16.
+    #[test]
+    fn derivatives_of_an_unstable_plant_agree_with_differences() {
+        let shape = Shape {
+            order: 2,
+            inputs: 1,
+            outputs: 1,
+        };
+        let values = vec![
+            1.2, 0.1, 0.0, 0.8, 0.3, 0.5, 1.0, 0.4, 0.2, 0.7, 0.1, 0.5, -0.2,
+        ];
+        let mut model = Model { shape, values };
+        let samples: Vec<f64> = (0..2 * 400)
+            .map(|k| f64::from(k * k * 37 % 101) / 50.0 - 1.0)
+            .collect();
+        let records = split(shape, &samples, &[400]);
+        let derivatives = jacobian(&model, &records[0], 0);
+        let size = model.values.len();
+        for entry in 0..size {
+            let value = model.values[entry];
+            let mut at = |change: f64| {
+                model.values[entry] = value + change;
+                predictor::innovations(&model, &records)
+            };
+            let (above, below) = (at(1e-5), at(-1e-5));
+            model.values[entry] = value;
+            for (k, row) in derivatives.chunks_exact(size).enumerate() {
+                let difference = (above[k] - below[k]) / 2e-5;
+                // error of central differences
+                assert!((row[entry] - difference).abs() < 1e-6 * (1.0 + difference.abs()));
+            }
+        }
+    }
 }
