@@ -10,9 +10,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from strainwave.domain import InputOutput, StateSpace
+from strainwave.domain import FloatArray, InputOutput, StateSpace
 from strainwave.errors import InvalidInput, NotIdentifiable
 from strainwave.statespace import frequency_response, remove_means, subspace
+from strainwave.statespace._scaled import Stack, stack
+from strainwave.statespace.subspace import Factors, realise
 from two_inertia import SAMPLE_TIME, TwoInertia, excitation, simulate, state_space
 
 ARM = TwoInertia()
@@ -42,6 +44,48 @@ def test_exact_data_give_the_exact_model(
     # 1e4.
     assert response_error(model, truth) < 1e-9
     assert min(model.fit_percent) > 100.0 - 1e-7
+
+
+@pytest.mark.parametrize("method", ["moesp", "predictor"])
+def test_estimate_agrees_with_dense_matrices(method: Literal["moesp", "predictor"]) -> None:
+    """Singular values and poles by their definition from the Hankel matrix of two records."""
+    truth, past, rng = ARM.sampled(GAIN), 8, np.random.default_rng(5)
+    records = [
+        simulate(truth, excitation(rng, n), NOISE * rng.standard_normal((n, 2))) for n in (300, 200)
+    ]
+    data = stack(records)
+    realisation, singular_values = realise(Factors(data), 3, method, past, (False, False))
+    if method == "moesp":
+        rows = hankel(data, 2 * past)
+        w, future = rows[:, :past].reshape(len(rows), -1), rows[:, past:]
+        u, y = future[..., :2].reshape(len(rows), -1), future[..., 2:].reshape(len(rows), -1)
+        Q = np.linalg.qr(w - u @ np.linalg.lstsq(u, w)[0])[0]
+        _, s, Vt = np.linalg.svd(Q.T @ (y - u @ np.linalg.lstsq(u, y)[0]))
+        observability = Vt[:3].T * np.sqrt(s[:3])
+        A = np.linalg.lstsq(observability[:-2], observability[2:])[0]
+    else:
+        rows = hankel(data, past + 1)
+        z, u, y = rows[:, -2::-1].reshape(len(rows), -1), rows[:, -1, :2], rows[:, -1, 2:]
+        M = np.linalg.lstsq(np.hstack([u, z]), y)[0][2:].T
+        shifted = [np.pad(M[:, 4 * j :], ((0, 0), (0, 4 * j))) for j in range(past)]
+        U, s, _ = np.linalg.svd(np.vstack(shifted) @ z.T, full_matrices=False)
+        to_state = (U[:, :3].T @ np.vstack(shifted)) / np.sqrt(s[:3, None])
+        next_z = np.hstack([u, y, z[:, :-4]])
+        x, next_x = z @ to_state.T, next_z @ to_state.T
+        A = np.linalg.lstsq(np.hstack([x, u]), next_x)[0][:3].T
+    # the estimate is from Z'Z, which squares the condition number of about 1e3
+    np.testing.assert_allclose(singular_values, s, rtol=1e-8)
+    poles, expected = (np.sort_complex(np.linalg.eigvals(a)) for a in (realisation.A, A))
+    np.testing.assert_allclose(poles, expected, rtol=1e-8)
+
+
+def hankel(data: Stack, depth: int) -> FloatArray:
+    """Windows (n_rows, depth, n_channels) of samples within one record."""
+    windows = [
+        np.lib.stride_tricks.sliding_window_view(data.samples[record], depth, axis=0)
+        for record in data.rows()
+    ]
+    return np.concatenate(windows).transpose(0, 2, 1)
 
 
 @given(
@@ -112,6 +156,8 @@ def test_constant_and_repeated_channels_do_not_break() -> None:
     for inputs in (silent, repeated):
         model = subspace(InputOutput(inputs, data.outputs, SAMPLE_TIME), 3)
         assert np.isfinite(model.A).all()
+        assert np.abs(model.B).max() < 1.0  # 0.3 with all inputs
+        assert (model.B[:, 1] == 0.0).all() == (inputs is silent)
 
 
 def test_the_mean_of_each_record_is_subtracted() -> None:

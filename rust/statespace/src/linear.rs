@@ -125,8 +125,12 @@ fn solve_scaled(mut hessian: Vec<f64>, mut right: Vec<f64>) -> Option<Vec<f64>> 
     if !hessian.iter().chain(&right).all(|entry| entry.is_finite()) {
         return None;
     }
+    // an entry without effect has a zero row; its infinite scale makes it zero
     let scale: Vec<f64> = (0..size)
-        .map(|i| hessian[i * size + i].max(f64::MIN_POSITIVE).sqrt())
+        .map(|i| match hessian[i * size + i] {
+            square if square > 0.0 => square.sqrt(),
+            _ => f64::INFINITY,
+        })
         .collect();
     for i in 0..size {
         right[i] /= scale[i];
