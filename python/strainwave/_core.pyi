@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 __all__ = [
+    "DIVERGENCE_RATIO",
     "GEAR_CORNER",
     "Arm",
     "Experiment",
@@ -26,6 +27,9 @@ __all__ = [
     "triangular_factor",
     "weighted_factor",
 ]
+
+DIVERGENCE_RATIO: float
+"""Size of innovations of scaled outputs above which they diverge."""
 
 GEAR_CORNER: float
 """Half width [rad] over which the knees of a three-slope gear are rounded."""
@@ -304,7 +308,11 @@ def stabilising_gain(
     k: NDArray[np.float64],
     covariance: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """K, or the gain of a stable predictor with the same noise spectrum if A - K C is unstable."""
+    """Gain K (n, p), or the gain of a stable predictor with the same noise spectrum.
+
+    K is returned if A - K C is stable. Otherwise the Riccati equation with w = K e and v = e gives
+    the stable predictor, for innovations e with a covariance (p, p).
+    """
 
 def is_stable(matrix: NDArray[np.float64]) -> bool:
     """Whether all eigenvalues are inside the unit circle, by more than 1e-12."""

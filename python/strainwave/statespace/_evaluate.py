@@ -26,7 +26,6 @@ from strainwave.statespace._scaled import (
     ModelMatrices,
     Stack,
     balancing,
-    is_stable,
     unpack,
     unscale,
 )
@@ -35,9 +34,6 @@ from strainwave.statespace._scaled import (
 # 1e-10 of the channel's root mean square, far below the resolution of any sensor, and keeps the
 # determinant finite for noise-free data.
 MIN_VARIANCE_SHARE = 1e-20
-
-# Innovations that exceed this multiple of the channel's root mean square indicate divergence.
-DIVERGENCE_RATIO = 1e3
 
 
 class Evaluator:
@@ -62,7 +58,7 @@ class Evaluator:
     def cost(self, matrices: ModelMatrices) -> float:
         """Cost (N/2) log det of the innovations' covariance; infinite for divergent innovations."""
         residuals = self.residuals(matrices)
-        if not max(residuals.max(), -residuals.min()) < DIVERGENCE_RATIO:
+        if not max(residuals.max(), -residuals.min()) < _core.DIVERGENCE_RATIO:
             return np.inf
         covariance = limit_covariance(residuals)
         return 0.5 * len(residuals) * float(np.linalg.slogdet(covariance)[1])
@@ -98,7 +94,7 @@ class Evaluator:
     def simulation_errors(self, matrices: ModelMatrices) -> FloatArray:
         """Scaled outputs minus those simulated from the inputs, with fitted initial states."""
         simulator = replace(matrices, K=np.zeros_like(matrices.K))
-        if is_stable(simulator.A):
+        if _core.is_stable(simulator.A):
             simulator = self.linear(simulator, None, gain=False, solutions=1)
         return self.core.residuals(simulator.pack())
 
@@ -214,7 +210,7 @@ def _cost(evaluator: Evaluator, values: FloatArray) -> float:
     """Cost plus the barrier -(1/2) log det(I - F (x) F) at the stability limit, F = A - K C."""
     matrices = evaluator.unpack(values)
     F = matrices.A - matrices.K @ matrices.C
-    if not is_stable(F):
+    if not _core.is_stable(F):
         return float("inf")
     barrier = -0.5 * float(np.linalg.slogdet(np.eye(F.size) - np.kron(F, F))[1])
     return evaluator.cost(matrices) + barrier

@@ -251,7 +251,7 @@ def stabilise(matrices: ModelMatrices) -> ModelMatrices:
     The reflection of a pole scales the magnitude of the frequency response and changes its phase.
     """
     A, C = reflect_poles(matrices.A), matrices.C
-    return replace(matrices, A=A, K=stabilising_gain(A, C, matrices.K, np.eye(len(C))))
+    return replace(matrices, A=A, K=_core.stabilising_gain(A, C, matrices.K, np.eye(len(C))))
 
 
 def balance(matrices: ModelMatrices) -> ModelMatrices:
@@ -268,20 +268,6 @@ def balancing(matrices: ModelMatrices) -> FloatArray:
     """
     T = _core.balancing(matrices.A, matrices.B, matrices.C, matrices.K)
     return np.eye(matrices.order) if T is None else T
-
-
-def is_stable(A: FloatArray) -> bool:
-    """Whether all eigenvalues of A lie inside the unit circle."""
-    return _core.is_stable(A)
-
-
-def stabilising_gain(A: FloatArray, C: FloatArray, K: FloatArray, R: FloatArray) -> FloatArray:
-    """Gain K (n, p), or the gain of the stable predictor with the same noise spectrum.
-
-    K is returned if A - K C is stable. Otherwise the Riccati equation with w = K e and v = e gives
-    the stable predictor, for innovations e with covariance R (p, p).
-    """
-    return _core.stabilising_gain(A, C, K, R)
 
 
 def reflect_poles(A: FloatArray) -> FloatArray:

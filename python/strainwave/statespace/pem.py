@@ -14,6 +14,7 @@ from typing import Literal, get_args, get_type_hints
 
 import numpy as np
 
+from strainwave import _core
 from strainwave.domain import (
     STATE_SPACE_MODEL,
     Clause,
@@ -31,12 +32,10 @@ from strainwave.statespace._scaled import (
     ModelMatrices,
     Stack,
     balance,
-    is_stable,
     n_entries,
     reflect_poles,
     rescale,
     stabilise,
-    stabilising_gain,
     stack,
     unscale,
 )
@@ -106,7 +105,7 @@ def pem(
     evaluator = Evaluator(stacked, starts[0].order)
     search = _Search(evaluator, through, replace(options, focus="prediction"))
     best = search.best_fit(starts)
-    if options.focus == "prediction" or is_stable(best.matrices.A):
+    if options.focus == "prediction" or _core.is_stable(best.matrices.A):
         return search.model(best)
     stable = [stabilise(each) for each in (*starts, best.matrices)]
     starts = [evaluator.linear(each, through, gain=True, solutions=1) for each in stable]
@@ -158,7 +157,7 @@ class _Search:
         """
         evaluator = self.evaluator
         without_gain = replace(best.matrices, K=np.zeros_like(best.matrices.K))
-        if best.covariance is None or not is_stable(without_gain.A):
+        if best.covariance is None or not _core.is_stable(without_gain.A):
             return None
         # Bayesian information criterion, as for the order: the likelihood ratio is not chi-square
         limit = best.cost + 0.5 * without_gain.K.size * np.log(evaluator.data.n_samples)
@@ -294,7 +293,7 @@ def _from_model(start: StateSpace, data: Stack) -> ModelMatrices:
     scaled = rescale(ModelMatrices(A, start.B, start.C, start.D, K, states), data)
     noise = start.noise_covariance / np.outer(data.output_scale, data.output_scale)
     noise = noise + MIN_VARIANCE_SHARE * np.eye(len(noise))
-    return replace(scaled, K=stabilising_gain(scaled.A, scaled.C, scaled.K, noise))
+    return replace(scaled, K=_core.stabilising_gain(scaled.A, scaled.C, scaled.K, noise))
 
 
 def _fit_warnings(fit: _PredictionErrorFit, options: PemOptions) -> tuple[Diagnostic, ...]:

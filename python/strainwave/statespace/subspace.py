@@ -29,7 +29,6 @@ from strainwave.statespace._scaled import (
     Data,
     ModelMatrices,
     Stack,
-    is_stable,
     stabilise,
     stack,
     unpack,
@@ -108,7 +107,7 @@ def _estimate(
     length = horizon or choose_horizon(factors, order or MAX_ORDER)
     matrices, singular_values = realise(factors, order, method, length, through)
     evaluator, warnings = Evaluator(data, matrices.order), list[Diagnostic]()
-    if focus == "stability" and not is_stable(matrices.A):
+    if focus == "stability" and not _core.is_stable(matrices.A):
         modulus = float(np.abs(np.linalg.eigvals(matrices.A)).max())
         warnings.append(Diagnostic("stability-enforced", STATE_SPACE_MODEL, modulus=modulus))
         matrices = stabilise(matrices)

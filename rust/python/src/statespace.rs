@@ -14,6 +14,7 @@ use strainwave_statespace::{predictor, sensitivity, stability, steady_state};
 
 /// Adds this file's functions and classes to the module.
 pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add("DIVERGENCE_RATIO", predictor::DIVERGENCE_RATIO)?;
     module.add_function(wrap_pyfunction!(balancing, module)?)?;
     module.add_function(wrap_pyfunction!(stabilising_gain, module)?)?;
     module.add_function(wrap_pyfunction!(is_stable, module)?)?;

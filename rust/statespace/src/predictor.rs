@@ -6,6 +6,9 @@ use strainwave_numerics::products::{BASELINE_IS_FUSED, multiply_add};
 /// Largest number of samples of a block; its signals and states fit into the first-level cache.
 pub const BLOCK: usize = 64;
 
+/// Innovations of outputs with a root mean square of one that exceed this limit diverge.
+pub const DIVERGENCE_RATIO: f64 = 1e3;
+
 /// Values of one channel or state in a block.
 pub type Signal = [f64; BLOCK];
 
