@@ -242,7 +242,7 @@ def test_every_verdict_is_consistent_with_its_decisions(
                 row(identification, "gamma").value,
             )
             alpha, beta = body["alpha"].value, row(identification, "beta").value
-            if None not in (link, alpha, gamma) and beta != 0.0:  # at its bound, not its estimate
+            if not {None, 0.0} & {link, alpha, beta, gamma}:  # zero is a bound, no estimate
                 assert link == pytest.approx(alpha + beta + 2.0 * gamma)  # type: ignore[operator]
     for j in (1, 2) if last > 1 else ():
         motor, link, total = (
