@@ -276,11 +276,20 @@ class Arm(ArmDescription):
             torques *= self.gear_ratios[:, None]
         else:
             torques = np.swapaxes(self.motors_of(np.swapaxes(torques, 1, 2)), 1, 2)
-        motors = parameters[n_links:]
-        of_motors = self.motor_accelerations(acceleration)
-        for i, k in np.argwhere(motors).tolist():
-            torques[:, i, k] += of_motors[:, i] * motors[i, k]
+        self.add_rotor_torques(torques, acceleration, parameters[n_links:])
         return np.asarray(torques)
+
+    def add_rotor_torques(
+        self, torques: FloatArray, links: FloatArray, inertias: FloatArray
+    ) -> None:
+        """Add the torques of the rotors per base parameter to those in `torques`.
+
+        `torques` is (n_samples, n_joints, n_body), `links` (n_samples, n_joints) the acceleration
+        behind rigid gears, and `inertias` (n_joints, n_body) those of the motors. Most are zero.
+        """
+        accelerations = self.motor_accelerations(links)
+        for i, k in np.argwhere(inertias).tolist():
+            torques[:, i, k] += accelerations[:, i] * inertias[i, k]
 
     def motor_accelerations(self, links: FloatArray) -> FloatArray:
         """Motor motion of a link motion behind rigid gears, (C N)^-1 q: (..., n_joints)."""

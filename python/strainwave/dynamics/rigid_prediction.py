@@ -101,9 +101,7 @@ def body_regressor(
     """
     phi = arm.rigid_regressor(*links)
     if len(torsion):
-        ahead, motors = arm.motor_accelerations(torsion[2]), arm.motors_of_rigid(motor_share)
-        for i, k in np.argwhere(motors).tolist():
-            phi[:, i, k] += ahead[:, i] * motors[i, k]
+        arm.add_rotor_torques(phi, torsion[2], arm.motors_of_rigid(motor_share))
     return phi
 
 

@@ -52,26 +52,26 @@ pub struct Elimination {
     pub solution: Vec<f64>,
     /// Residuals Y - Z G^-1 Z' Y, (rows, sides).
     pub residuals: Vec<f64>,
-    /// Diagonal of Z G^-1 Z', (rows,); empty unless requested.
+    /// Diagonal of Z G^-1 Z', (rows,).
     pub leverage: Vec<f64>,
 }
 
 /// Eliminates the unknowns of `z` from `y`, (rows, sides).
 ///
 /// Returns `None` if an entry is not finite.
-pub fn eliminate(z: Windows<'_>, y: &[f64], sides: usize, leverage: bool) -> Option<Elimination> {
+pub fn eliminate(z: Windows<'_>, y: &[f64], sides: usize) -> Option<Elimination> {
     #[cfg(target_arch = "x86_64")]
     if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
         // SAFETY: both features have just been detected.
-        return unsafe { eliminate_avx2(z, y, sides, leverage) };
+        return unsafe { eliminate_avx2(z, y, sides) };
     }
-    eliminate_with::<BASELINE_IS_FUSED>(z, y, sides, leverage)
+    eliminate_with::<BASELINE_IS_FUSED>(z, y, sides)
 }
 
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2,fma")]
-fn eliminate_avx2(z: Windows<'_>, y: &[f64], sides: usize, leverage: bool) -> Option<Elimination> {
-    eliminate_with::<true>(z, y, sides, leverage)
+fn eliminate_avx2(z: Windows<'_>, y: &[f64], sides: usize) -> Option<Elimination> {
+    eliminate_with::<true>(z, y, sides)
 }
 
 #[inline(always)]
@@ -79,7 +79,6 @@ fn eliminate_with<const FUSED: bool>(
     z: Windows<'_>,
     y: &[f64],
     sides: usize,
-    leverage: bool,
 ) -> Option<Elimination> {
     let n = z.unknowns;
     let rows = z.rows();
@@ -93,15 +92,10 @@ fn eliminate_with<const FUSED: bool>(
             add_scaled::<FUSED>(residual, -value, &solution[(start + i) * sides..][..sides]);
         }
     }
-    let leverage = if leverage {
-        leverages::<FUSED>(&rows, &inverse_within::<FUSED>(&factor, &first))
-    } else {
-        Vec::new()
-    };
     Some(Elimination {
         solution,
         residuals,
-        leverage,
+        leverage: leverages::<FUSED>(&rows, &inverse_within::<FUSED>(&factor, &first)),
     })
 }
 

@@ -89,7 +89,7 @@ pub fn reduce(table: &[f64], root: &[f64], widths: Widths, parts: &[Part<'_>]) -
         };
         let row_of = |row: &usize| own[row * n..][..n].to_vec();
         let right: Vec<f64> = part.rows.iter().flat_map(row_of).collect();
-        let rest = eliminate(windows, &right, n, true)?;
+        let rest = eliminate(windows, &right, n)?;
         for (k, &row) in part.rows.iter().enumerate() {
             own[row * n..][..n].copy_from_slice(&rest.residuals[k * n..][..n]);
             leverage[row] = rest.leverage[k];

@@ -288,6 +288,7 @@ def _weights_of_links(
 _BANDWIDTH_RATIO = 2.0**0.5  # ratio of successive bandwidths; squared if no gear is elastic
 # log of a significant ratio of standard deviations, the accuracy of the jackknife
 _MIN_LOG_GAIN = np.log(1.1)
+_NEAR_RATIOS = 0.45, 2.1  # range of neighbours: a factor of two and rounding of the steps
 _MAX_BANDWIDTHS_WITHOUT_GAIN = 3  # successive bandwidths without improvement that end the search
 
 Motion = tuple[Signals, float]
@@ -408,7 +409,8 @@ def neighbours(trials: Sequence[Trial], best: Trial) -> list[Trial]:
 
 
 def _is_near(bandwidth_hz: float, best: Trial) -> bool:
-    return 0.45 <= bandwidth_hz / best.bandwidth_hz <= 2.1
+    lowest, highest = _NEAR_RATIOS
+    return lowest <= bandwidth_hz / best.bandwidth_hz <= highest
 
 
 def excess_variance(
