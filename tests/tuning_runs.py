@@ -257,11 +257,14 @@ class LinearRecord(Dataset):
         local: FloatArray,
         directions: Sequence[tuple[str, int | None]],
         simulated: Motion | None = None,
+        *,
+        slope: FloatArray | None = None,
         variants: Sequence[Variant] = (),
     ) -> tuple[FloatArray, FloatArray]:
         asked = [int(name[1:]) for name, _ in directions]
         parameters = np.array([values[f"p{k}", None] for k in range(self.n)])
-        return np.asarray(self.table @ parameters), self.table[..., asked]
+        slope = np.eye(len(asked)) if slope is None else slope
+        return np.asarray(self.table @ parameters), self.table[..., asked] @ slope
 
 
 def linear_search(n: int, prior: Prior | None = None) -> ParameterSpace:

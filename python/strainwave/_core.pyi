@@ -149,10 +149,6 @@ class Arm:
         parameters: NDArray[np.float64],
         experiment: Experiment,
         with_respect_to: Sequence[tuple[str, int | None]],
-        *,
-        variants: Sequence[tuple[NDArray[np.float64], Sequence[tuple[str, int | None]]]] = ...,
-        taps: Sequence[NDArray[np.float64]] | None = None,
-        samples_per_row: int = 1,
     ) -> dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]]:
         """One arm's experiment with its exact derivatives.
 
@@ -160,12 +156,31 @@ class Arm:
         (samples, n_joints, n_directions). A direction is a name of `parameter_names`, or
         `initial_motor_angle`, `initial_motor_velocity`, `initial_link_angle` or
         `initial_link_velocity` and a joint from 1; where the links hang on their gears, the initial
-        link angle is what is added to the hanging one. `variants` are further directions, by sizes
-        of effects that are zero, with other values of parameters that have no influence then. With
-        `taps`, a list for each quantity, all
-        equally long, samples x become rows, row r the sum of taps[t] x[r samples_per_row + t]. The
-        GIL is released, so that records can run in threads. Errors are those of `simulate`, and
-        ValueError for taps that do not fit.
+        link angle is what is added to the hanging one. The GIL is released, so that records can run
+        in threads. Errors are those of `simulate`.
+        """
+    def channel_sensitivities(
+        self,
+        parameters: NDArray[np.float64],
+        experiment: Experiment,
+        with_respect_to: Sequence[tuple[str, int | None]],
+        channels: Sequence[tuple[int, int, float]],
+        chain: NDArray[np.float64],
+        *,
+        variants: Sequence[tuple[NDArray[np.float64], Sequence[tuple[str, int | None]]]] = ...,
+        taps: Sequence[NDArray[np.float64]] | None = None,
+        samples_per_row: int = 1,
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Channels of one arm's experiment with their exact derivatives, as `sensitivities`.
+
+        A channel is the index of a quantity in the record, that of a joint, and a factor. Returns
+        the channels (samples, n_channels) and their tangents (samples, n_channels, n_columns).
+        `chain` (n_directions, n_columns) are the derivatives of the directions by the variables of
+        the columns. `variants` are further directions, by sizes of effects that are zero, with
+        other values of parameters that have no influence then. With `taps`, a list for each
+        quantity, all equally long, samples x become rows, row r the sum of taps[t]
+        x[r samples_per_row + t]. Errors are those of `simulate`, and ValueError for taps, channels
+        and a chain that do not fit.
         """
     def base_regressor(
         self,

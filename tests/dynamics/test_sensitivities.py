@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from serial_chains import chain
-from strainwave.domain import FloatArray, Prbs, Spring
+from strainwave.domain import Prbs, Spring
 from strainwave.domain.arm.link_sensors.link_space import (
     ACCELEROMETER_QUANTITIES,
     GYRO_QUANTITIES,
@@ -89,30 +89,41 @@ def test_rows_are_filtered_samples(spring: Spring, n_directions: int) -> None:
     full = arm.sensitivities(values, experiment, directions)
     kernels = low_pass_kernels(60.0, 1e-3)
     taps = [kernels.taps(slope=name == "link_angle") for name in RECORD]
-    recorded = arm.sensitivities(
-        values, experiment, directions, taps=taps, samples_per_row=kernels.step
+    channels = [(k, i, -2.0 if i else 1.0) for k in range(len(RECORD)) for i in (1, 0)]
+    rule = np.random.default_rng(1).normal(size=(n_directions, 5))
+    readings, tangents = arm.channel_sensitivities(
+        values, experiment, directions, channels, rule, taps=taps, samples_per_row=kernels.step
     )
-    for name in RECORD:
-        for rows, samples in zip(recorded[name], full[name], strict=True):
-            wanted = kernels.rows(samples, slope=name == "link_angle")
-            assert rows.shape == wanted.shape
-            size = np.abs(wanted).max(initial=0.0)
-            np.testing.assert_allclose(rows, wanted, atol=1e-12 * size)
+    for at, (k, i, factor) in enumerate(channels):
+        of_values, of_tangents = full[RECORD[k]]
+        samples = np.column_stack([of_values[:, i], of_tangents[:, i] @ rule])
+        expected = factor * kernels.rows(samples, slope=RECORD[k] == "link_angle")
+        actual = np.column_stack([readings[:, at], tangents[:, at]])
+        assert actual.shape == expected.shape
+        assert np.all(np.abs(actual - expected) <= 1e-12 * np.abs(expected).max(axis=0))
 
 
 @pytest.mark.parametrize(
-    ("taps", "samples_per_row"),
-    [([np.ones(8)] * 3, 4), ([np.ones(8)] * 3 + [np.ones(4)], 4), ([np.ones(8)] * 4, 3)],
+    ("changes", "message"),
+    [
+        ({"taps": [np.ones(8)] * 3}, "expected taps for each quantity"),
+        ({"taps": [np.ones(8)] * 3 + [np.ones(4)]}, "expected taps for each quantity"),
+        ({"taps": [np.ones(8)] * 4, "samples_per_row": 3}, "expected taps for each quantity"),
+        ({"channels": [(4, 0, 1.0)]}, "no quantity 4 of joint 0"),
+        ({"channels": [(0, 2, 1.0)]}, "no quantity 0 of joint 2"),
+        ({"chain": np.eye(2)}, "expected 1 rows, got 2"),
+    ],
 )
-def test_invalid_taps_are_rejected(taps: list[FloatArray], samples_per_row: int) -> None:
-    with pytest.raises(ValueError, match="expected taps for each quantity"):
-        ARM.sensitivities(
-            VALUES,
-            ARM.experiment(**EXPERIMENT),
-            [],
-            taps=taps,
-            samples_per_row=samples_per_row,
-        )
+def test_invalid_channels_are_rejected(changes: dict[str, Any], message: str) -> None:
+    arguments: dict[str, Any] = {
+        "with_respect_to": [("alpha", None)],
+        "channels": [(0, 0, 1.0)],
+        "chain": np.eye(1),
+        "taps": [np.ones(8)] * 4,
+        "samples_per_row": 4,
+    }
+    with pytest.raises(ValueError, match=message):
+        ARM.channel_sensitivities(VALUES, ARM.experiment(**EXPERIMENT), **arguments | changes)
 
 
 def test_readings_of_imus_are_weighted_sums_of_signals_of_links() -> None:

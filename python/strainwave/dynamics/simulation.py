@@ -207,33 +207,63 @@ def sensitivities(
     samples: int,
     record: Sequence[Quantity],
     max_time_step: float = MAX_TIME_STEP,
-    low_pass: LowPass | None = None,
-    sums: Mapping[Quantity, FloatArray] | None = None,
-    variants: Sequence[tuple[Values, Sequence[Key]]] = (),
 ) -> dict[Quantity, tuple[FloatArray, FloatArray]]:
     """Simulate one experiment on one arm with exact derivatives of all recorded quantities.
 
     `directions` are parameters of the core or the initial states `initial_motor_angle`,
     `initial_motor_velocity`, `initial_link_angle` and `initial_link_velocity`. Each quantity has
-    values (n_samples, n_joints) and derivatives (n_samples, n_joints, n_directions). With
-    `low_pass` its rows replace the samples. `sums` are weights (n_joints, n_signals) of
-    `LINK_SIGNALS` in the quantities such as `imu_ax`. Further directions, in `variants`, are sizes
-    of effects that are zero, with values that differ where they have no influence then. Other
+    values (n_samples, n_joints) and derivatives (n_samples, n_joints, n_directions). Other
     arguments and errors are those of `simulate_arms`.
     """
     vector = _vector(arm, values)
+    experiment = _experiment(arm, drive, (sample_time, samples), record, max_time_step)
+    with core_errors():
+        raise_if_stopped()
+        recorded = arm.core.sensitivities(vector, experiment, list(directions))
+    return {name: recorded[name] for name in record}
+
+
+def channel_sensitivities(
+    arm: Arm,
+    values: Values | FloatArray,
+    drive: Drive,
+    directions: Sequence[Key],
+    *,
+    channels: Sequence[tuple[Quantity, int, float]],
+    chain: FloatArray,
+    sample_time: float,
+    samples: int,
+    max_time_step: float = MAX_TIME_STEP,
+    low_pass: LowPass | None = None,
+    sums: Mapping[Quantity, FloatArray] | None = None,
+    variants: Sequence[tuple[Values, Sequence[Key]]] = (),
+) -> tuple[FloatArray, FloatArray]:
+    """Simulate the channels of one experiment on one arm with exact derivatives.
+
+    A channel is a quantity of a joint, from 1, times a factor. `sums` are weights (n_joints,
+    n_signals) of `LINK_SIGNALS` in the quantities such as `imu_ax`. `chain` (n_directions,
+    n_columns) are the derivatives of all directions by the variables of the columns. The last
+    directions, in `variants`, are sizes of effects that are zero, with values that differ where
+    they have no influence then. Other arguments and errors are those of `sensitivities`.
+
+    Returns the channels (n_samples, n_channels) and their derivatives (n_samples, n_channels,
+    n_columns); with `low_pass`, rows replace the samples.
+    """
+    vector = _vector(arm, values)
+    record = list(dict.fromkeys(name for name, _, _ in channels))
     experiment = _experiment(arm, drive, (sample_time, samples), record, max_time_step, sums)
     with core_errors():
         raise_if_stopped()
-        recorded = arm.core.sensitivities(
+        return arm.core.channel_sensitivities(
             vector,
             experiment,
             list(directions),
+            [(record.index(name), joint - 1, factor) for name, joint, factor in channels],
+            chain,
             variants=[(_vector(arm, values), list(keys)) for values, keys in variants],
             taps=None if low_pass is None else [low_pass.taps[name] for name in record],
             samples_per_row=1 if low_pass is None else low_pass.samples_per_row,
         )
-    return {name: recorded[name] for name in record}
 
 
 def _experiment(
@@ -382,31 +412,15 @@ class RecordInputs:
             k for k, row in slopes if k not in requested and requested & row.keys()
         ]
 
-    def by_parameters(
-        self, tangent: FloatArray, directions: Sequence[Key], parameters: Sequence[Key]
-    ) -> FloatArray:
-        """Derivatives with respect to parameters from those in the directions of the core.
-
-        Further entries of the last axis of `tangent` do not change.
-        """
-        if not self.slopes and list(directions) == list(parameters):
-            return tangent
+    def chain(self, directions: Sequence[Key], parameters: Sequence[Key]) -> FloatArray:
+        """Derivatives (n_directions, n_parameters) of the core's directions by the parameters."""
         chain = np.zeros((len(directions), len(parameters)))
         column = {key: k for k, key in enumerate(parameters)}
         for row, key in enumerate(directions):
             for by, slope in self.slopes.get(key, {key: 1.0}).items():
                 if by in column:
                     chain[row, column[by]] = slope
-        n, kept = len(directions), len(parameters)
-        result = np.empty((*tangent.shape[:-1], kept + tangent.shape[-1] - n))
-        result[..., kept:] = tangent[..., n:]
-        # most derivatives are those in one direction, so a product with the chain would be wasteful
-        is_same = (np.count_nonzero(chain, axis=0) == 1) & (np.sum(chain, axis=0) == 1.0)
-        same, changed = np.flatnonzero(is_same), np.flatnonzero(~is_same)
-        result[..., same] = tangent[..., np.nonzero(chain.T[same])[1]]
-        used = np.flatnonzero(chain[:, changed].any(axis=1))
-        result[..., changed] = tangent[..., used] @ chain[np.ix_(used, changed)]
-        return result
+        return chain
 
 
 def record_inputs(

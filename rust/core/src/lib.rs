@@ -18,9 +18,11 @@
 //! | [`sensitivity`] | derivatives of experiments |
 //! | [`program`] | functions to be compiled, and their scalars |
 //! | [`compiled`] | arms of any number of joints behind one interface |
+//! | [`channels`] | channels of a log from recorded quantities |
 
 pub mod actuation;
 pub mod arm;
+pub mod channels;
 pub mod compiled;
 pub mod experiment;
 pub mod joint;

@@ -6,6 +6,7 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use strainwave_arms::{Drives, Links, compiled_arm};
 use strainwave_core::arm::Kinematics;
+use strainwave_core::channels::{ChainRule, Channel};
 use strainwave_core::compiled::{self, CompiledArm, Derivatives, InitialState, LinkMotion};
 use strainwave_core::experiment::{Clock, Diverged, Source};
 use strainwave_core::joint::gear;
@@ -186,27 +187,58 @@ impl Arm {
         Ok(all)
     }
 
-    #[pyo3(signature = (parameters, experiment, with_respect_to, *, variants=Vec::new(), taps=None,
-        samples_per_row=1))]
     fn sensitivities<'py>(
         &self,
         py: Python<'py>,
         parameters: Vector<'py>,
         experiment: &Experiment,
         with_respect_to: Vec<Direction>,
+    ) -> PyResult<Bound<'py, PyDict>> {
+        let core = experiment.of(self.n_joints())?;
+        let parameters = self.checked(&parameters)?;
+        let directions = self.sources(&with_respect_to)?;
+        let differentiate = || {
+            self.0
+                .sensitivities(core, &parameters, &directions, &[], None)
+        };
+        let Derivatives { values, tangents } = py.detach(differentiate).map_err(divergence)?;
+        let shape = [core.clock.samples, self.n_joints()];
+        let result = PyDict::new(py);
+        for ((name, values), tangents) in experiment.record.iter().zip(values).zip(tangents) {
+            let values: Bound<'py, PyArray2<f64>> =
+                PyArray1::from_vec(py, values).reshape(shape)?;
+            let tangents: Bound<'py, PyArray3<f64>> = PyArray1::from_vec(py, tangents)
+                .reshape([shape[0], shape[1], directions.len()])?;
+            result.set_item(name, (values, tangents))?;
+        }
+        Ok(result)
+    }
+
+    #[pyo3(signature = (parameters, experiment, with_respect_to, channels, chain, *,
+        variants=Vec::new(), taps=None, samples_per_row=1))]
+    fn channel_sensitivities<'py>(
+        &self,
+        py: Python<'py>,
+        parameters: Vector<'py>,
+        experiment: &Experiment,
+        with_respect_to: Vec<Direction>,
+        channels: Vec<(usize, usize, f64)>,
+        chain: Matrix<'py>,
         variants: Vec<(Vector<'py>, Vec<Direction>)>,
         taps: Option<Vec<Vec<f64>>>,
         samples_per_row: usize,
-    ) -> PyResult<Bound<'py, PyDict>> {
-        let core = experiment.of(self.n_joints())?;
+    ) -> PyResult<(Bound<'py, PyArray2<f64>>, Bound<'py, PyArray3<f64>>)> {
+        let (joints, quantities) = (self.n_joints(), experiment.record.len());
+        let core = experiment.of(joints)?;
         let decimation = match taps {
             None => None,
-            Some(taps) if taps.len() == core.record.len() => {
+            Some(taps) if taps.len() == quantities => {
                 let decimation = Decimation::new(taps, samples_per_row);
                 Some(decimation.ok_or_else(|| PyValueError::new_err(TAPS))?)
             }
             Some(_) => return Err(PyValueError::new_err(TAPS)),
         };
+        let decimation = decimation.as_ref();
         let parameters = self.checked(&parameters)?;
         let directions = self.sources(&with_respect_to)?;
         let mut others = Vec::with_capacity(variants.len());
@@ -221,24 +253,35 @@ impl Arm {
             })
             .collect();
         let width = directions.len() + others.iter().map(|(_, more)| more.len()).sum::<usize>();
-        let decimation = decimation.as_ref();
+        let (directions_of_chain, columns) = chain.as_array().dim();
+        if directions_of_chain != width {
+            let text = format!("chain: expected {width} rows, got {directions_of_chain}");
+            return Err(PyValueError::new_err(text));
+        }
+        let chain = ChainRule::new(&rows(&chain, "chain", width, columns)?, columns);
+        let mut of_log = Vec::with_capacity(channels.len());
+        for (quantity, joint, factor) in channels {
+            if quantity >= quantities || joint >= joints {
+                let text = format!("no quantity {quantity} of joint {joint}, from 0, is recorded");
+                return Err(PyValueError::new_err(text));
+            }
+            of_log.push(Channel {
+                quantity,
+                joint,
+                factor,
+            });
+        }
         let differentiate = || {
             self.0
                 .sensitivities(core, &parameters, &directions, &variants, decimation)
+                .map(|all| all.of_channels(joints, &of_log, &chain))
         };
-        let Derivatives { values, tangents } = py.detach(differentiate).map_err(divergence)?;
+        let (readings, derivatives) = py.detach(differentiate).map_err(divergence)?;
         let samples = core.clock.samples;
-        let rows = decimation.map_or(samples, |all| all.rows(samples));
-        let joints = self.n_joints();
-        let result = PyDict::new(py);
-        for ((name, values), tangents) in experiment.record.iter().zip(values).zip(tangents) {
-            let values: Bound<'py, PyArray2<f64>> =
-                PyArray1::from_vec(py, values).reshape([rows, joints])?;
-            let tangents: Bound<'py, PyArray3<f64>> =
-                PyArray1::from_vec(py, tangents).reshape([rows, joints, width])?;
-            result.set_item(name, (values, tangents))?;
-        }
-        Ok(result)
+        let n_rows = decimation.map_or(samples, |all| all.rows(samples));
+        let shape = [n_rows, of_log.len(), columns];
+        let readings = PyArray1::from_vec(py, readings).reshape([shape[0], shape[1]])?;
+        Ok((readings, PyArray1::from_vec(py, derivatives).reshape(shape)?))
     }
 
     fn base_regressor<'py>(

@@ -202,7 +202,7 @@ def test_derivatives_are_those_of_differences(name: str, *, moving: bool) -> Non
     keys: list[Key] = [*has.sizes, (COULOMB, has.joint), ("motor_inertia", has.joint)]
     _, tangent = record.linearise(values, local, keys)
     assert tangent.shape[2] == len(keys) + len(local)
-    for k, key in enumerate(keys):
+    for k, key in enumerate(keys, start=len(local)):
         if key[0] not in (base_name(key[0]), of_record(base_name(key[0]), record.log.name)):
             assert not tangent[..., k].any()  # belongs to another record
             continue

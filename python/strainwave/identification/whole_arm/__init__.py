@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 
 from strainwave.domain import ArmModel, JointModel, Log, RigidModel, WholeArmOptions
 from strainwave.domain.arm.parameter_table import COULOMB, OFFSET
@@ -214,7 +215,11 @@ def _search(start: Start, selection: Selection) -> Fit:
     with_found = set_record_effects(records, selection.arm, coarse.space.keys)
     objective = coarse.objective.replace_records(with_found).update_weights(coarse.z)
     coarse.objective.forget()
-    fine = fine_search(replace(coarse, objective=objective), selection.options)
+    fine = fine_search(
+        replace(coarse, objective=objective),
+        selection.options,
+        partial(sensor_constants.with_evident_constants, selection=selection),
+    )
     if fine.end.is_minimum:  # the model selection has its own budget of evaluations
         selection.renew(fine)
     for revise in _FINE:

@@ -166,11 +166,14 @@ def _reweight(fit: Fit, options: WholeArmOptions) -> Fit:
     return fit
 
 
-def fine_search(start: Fit, options: WholeArmOptions) -> Fit:
+def fine_search(
+    start: Fit, options: WholeArmOptions, extend: Callable[[Fit], Fit] = lambda fit: fit
+) -> Fit:
     """Alternate least squares and weight updates until the weights converge.
 
     `start` is near the minimum. The step error of the integrator is corrected after the first
-    search and again near the minimum. Call `polish` to complete the search.
+    search, where `extend` may add unknowns, and again near the minimum. Call `polish` to complete
+    the search.
     """
     fit = search_minimum(
         start, options, tolerance=_FINE_TOLERANCE, relative=_INITIAL_RELATIVE_TOLERANCE
@@ -183,7 +186,10 @@ def fine_search(start: Fit, options: WholeArmOptions) -> Fit:
         if fit.iterations >= options.max_iterations:
             return replace(fit, end=SearchEnd.EVALUATION_LIMIT)
         corrected = fit.objective.correct_step_error(fit.z).update_weights(fit.z)
-        fit = refine(replace(fit, objective=corrected), options, tolerance)
+        fit = replace(fit, objective=corrected)
+        if tolerance < COARSE_TOLERANCE:
+            fit = extend(fit)
+        fit = refine(fit, options, tolerance)
     return fit
 
 

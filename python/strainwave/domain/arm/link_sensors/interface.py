@@ -374,6 +374,10 @@ class SensorAxis:
         pairs = zip(self.weights(values), parts, strict=True)
         return np.asarray(sum(weight * part for weight, part in pairs))
 
+    def factor(self, values: Mapping[Key, float]) -> float:
+        """Weight of `summed_quantity` in the reading."""
+        return 1.0 if len(self.quantities) > 1 else float(self.weights(values)[0])
+
     def signal_weights(self, values: Mapping[Key, float]) -> FloatArray:
         """Weights (n_signals,) of all signals of a link in the reading."""
         by_name = dict(zip(self.quantities, self.weights(values).tolist(), strict=True))

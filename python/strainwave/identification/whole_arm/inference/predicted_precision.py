@@ -103,10 +103,9 @@ def _information_of(
     record: Dataset, values: Values, keys: Sequence[Key], scale: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Fisher information of one record, and covariance of its gradient due to sensor noise."""
-    channels, tangent = record.linearise(values, record.start(), keys)
+    channels, tangent = record.linearise(values, record.start(), keys, slope=np.diag(scale))
     n, n_own = len(keys), len(record.initial_states) + len(record.biased)
-    columns = np.concatenate([tangent[..., n:], tangent[..., :n] * scale], axis=2)
-    exact = Evaluation(np.zeros_like(channels), columns, np.zeros(n_own), record.biased)
+    exact = Evaluation(np.zeros_like(channels), tangent, np.zeros(n_own), record.biased)
     error = np.maximum(record.noise, MIN_ERROR_SHARE * np.std(channels, axis=0))
     repeats = filtered_rows_per_error(record)
     shared = exact.weigh(Weights(error, repeats)).shared_columns
@@ -256,7 +255,9 @@ def _information(fit: Fit, arm: Arm, candidates: Sequence[_AddedSensor]) -> list
         n_begin = len(record.initial_states)
         simulated = [keys[k] for k in parameter_places]
         initial = rows.record_parameters[:n_begin]
-        readings, tangent = extended.linearise(values, initial, simulated)
+        readings, tangent = extended.linearise(
+            values, initial, simulated, slope=slope[parameter_places]
+        )
         scale = np.sqrt(_MEAN_ROBUST_WEIGHT / filtered_rows_per_error(extended))
         scale = scale / np.maximum(extended.noise, MIN_ERROR_SHARE * np.std(readings, axis=0))
         columns = rows.columns
@@ -266,9 +267,7 @@ def _information(fit: Fit, arm: Arm, candidates: Sequence[_AddedSensor]) -> list
             # columns: bias of the sensor, initial states, shared unknowns
             sensor_rows = np.zeros((len(readings), 1 + columns.shape[2]))
             sensor_rows[:, 0] = axis.sensor.has_bias
-            by_parameters, by_start = np.split(tangent[:, number], [len(parameter_places)], axis=1)
-            sensor_rows[:, 1 : 1 + n_begin] = by_start
-            sensor_rows[:, 1 + n_begin :] = by_parameters @ slope[parameter_places]
+            sensor_rows[:, 1:] = tangent[:, number]
             sensor_rows *= scale[number]
             stacked = np.concatenate([np.pad(factor, ((0, 0), (1, 0))), sensor_rows])
             if not axis.sensor.has_bias:

@@ -341,7 +341,7 @@ class EffectColumns:
             initial, columns = objective.initial_states(k), []
             for records, ((values, keys), *variants) in runs:
                 tangent = records[k].linearise(values, initial, keys, variants=variants)[1]
-                columns += [tangent[..., : len(keys)], tangent[..., len(keys) + len(initial) :]]
+                columns.append(tangent[..., len(initial) :])
             return columns
 
         whole = objective.factor_with_columns(fit.z, width, tangents, prior_rows)

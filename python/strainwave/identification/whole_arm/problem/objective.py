@@ -522,18 +522,10 @@ class Objective:
         motion: Motion | None = None,
     ) -> Evaluation:
         """Evaluate a record at z with given record parameters (n_own,), and perhaps its motion."""
-        n_begin, n = len(record.initial_states), len(self.space.unknowns)
-        values, slope = self.space.values(z), self.space.slope(z)
-        begin = record_parameters[:n_begin]
-        channels, tangent = self._linearise_motion(record, values, begin, motion)
-        shared, factors = tangent[..., :n], np.diagonal(slope)  # changed in place: it is large
-        pairs = zip(*np.nonzero(slope - np.diag(factors)), strict=True)
-        added = [(of, slope[value, of] * shared[..., value]) for value, of in pairs]
-        shared *= factors
-        for of, part in added:
-            shared[..., of] += part
-        columns = np.roll(tangent, n_begin, axis=2) if n_begin else tangent
-        biases = _spread(record_parameters[n_begin:], record)
+        values = self.space.values(z)
+        begin = record_parameters[: len(record.initial_states)]
+        channels, columns = self._linearise_motion(record, z, begin, motion)
+        biases = _spread(record_parameters[len(begin) :], record)
         difference = channels + biases - record.advance_measured(values)
         if record.is_counted is not None:  # zero rows carry no information
             difference = difference * record.is_counted
@@ -543,21 +535,21 @@ class Objective:
         )
 
     def _linearise_motion(
-        self, record: Dataset, values: Values, initial: FloatArray, motion: Motion | None
+        self, record: Dataset, z: FloatArray, initial: FloatArray, motion: Motion | None
     ) -> tuple[FloatArray, FloatArray]:
-        """`Dataset.linearise` by the keys of the unknowns, most of them perhaps `without`."""
+        """`Dataset.linearise` by the unknowns, most of them perhaps `without`."""
         keys, without = self.space.keys, self.without
+        values, slope = self.space.values(z), self.space.slope(z)
         of_effect = np.array([without is not None and key in without.absent for key in keys])
         if without is None or not of_effect.any():
-            return record.linearise(values, initial, keys, motion)
+            return record.linearise(values, initial, keys, motion, slope=slope)
         effect, others = ([keys[k] for k in np.flatnonzero(one)] for one in (of_effect, ~of_effect))
-        channels, by_effect = record.linearise(values, initial, effect)
-        by_others = record.linearise(without.remove_from(values), initial, others)[1]
-        tangent = np.empty((*channels.shape, len(keys) + len(initial)))
-        tangent[..., np.flatnonzero(of_effect)] = by_effect[..., : len(effect)]
-        tangent[..., np.flatnonzero(~of_effect)] = by_others[..., : len(others)]
-        tangent[..., len(keys) :] = by_effect[..., len(effect) :]
-        return channels, tangent
+        channels, columns = record.linearise(values, initial, effect, slope=slope[of_effect])
+        by_others = record.linearise(
+            without.remove_from(values), initial, others, slope=slope[~of_effect]
+        )[1]
+        columns[..., len(initial) :] += by_others[..., len(initial) :]
+        return channels, columns
 
     def simulate(self, z: FloatArray) -> list[FloatArray]:
         """Simulated channels (n_rows, n_channels) of every record at z.

@@ -29,9 +29,9 @@ from strainwave.dynamics.simulation import (
     LowPass,
     PlannedRun,
     RecordInputs,
+    channel_sensitivities,
     plan_run,
     record_inputs,
-    sensitivities,
     simulate_runs,
 )
 from strainwave.numerics.filters import noise_std
@@ -222,56 +222,63 @@ class Dataset:
         initial: FloatArray,
         directions: Sequence[Key],
         simulated: Motion | None = None,
+        *,
+        slope: FloatArray | None = None,
         variants: Sequence[Variant] = (),
     ) -> tuple[FloatArray, FloatArray]:
         """Simulated channels without biases (n_rows, n_channels), and their derivatives.
 
-        The derivatives (n_rows, n_channels, n_directions + n_initial + n_of_variants) are those
-        with respect to the `directions`, which are parameters and sensor constants, then to the
-        initial states, and then to sizes of effects in `variants`. `simulated` is the run of
-        `plan`, if it is known: without derivatives, it suffices.
+        The derivatives (n_rows, n_channels, n_initial + n_directions + n_of_variants) are those
+        with respect to the initial states, then to the `directions`, which are parameters and
+        sensor constants, and then to sizes of effects in `variants`. `slope` (n_directions,
+        n_columns) are derivatives of the directions by variables that replace them, by default
+        themselves. `simulated` is the run of `plan`, if it is known: without derivatives, it
+        suffices.
         """
-        inputs = self._inputs(values)
-        by_core = [key for key in directions if not constant_of(key)]
-        core_directions = inputs.directions(by_core)
+        inputs, scales = self._inputs(values), self.sensor_scales(values)
         if not directions and not self.initial_states:  # a plain run is several times faster
             if simulated is None:
                 (simulated,) = simulate_runs([self.plan(values, initial)])
             channels = self.filtered_channels(simulated, values)
-            channels = (channels + self.step_error_correction) * self.sensor_scales(values)
+            channels = (channels + self.step_error_correction) * scales
             return channels + self.drifts(values), np.zeros((*channels.shape, 0))
+        slope = np.eye(len(directions)) if slope is None else slope
+        of_sensors = np.array([constant_of(key) is not None for key in directions], dtype=bool)
+        by_core = [key for key in directions if not constant_of(key)]
+        core_directions = inputs.directions(by_core)
+        n, n_initial, n_columns = len(core_directions), len(self.initial_states), slope.shape[1]
+        n_of_variants = sum(len(sizes) for _, sizes in variants)
+        chain = np.zeros((n + n_initial + n_of_variants, n_initial + n_columns + n_of_variants))
+        own = slice(n_initial, n_initial + n_columns)
+        chain[:n, own] = inputs.chain(core_directions, by_core) @ slope[~of_sensors]
+        chain[n : n + n_initial, :n_initial] = np.eye(n_initial)
+        chain[n + n_initial :, own.stop :] = np.eye(n_of_variants)
         resonates = self._has_resonant_mount(values)
-        taps = self._taps
-        runs = sensitivities(
+        read, tangent = channel_sensitivities(
             self._arm_at(values),
             inputs.values,
             inputs.shift_start(self._drive_at(values, initial)),
             [*core_directions, *self.initial_states],
+            channels=[
+                (c.summed_quantity, c.joint, scale * c.factor(values))
+                for c, scale in zip(self.channels, scales.tolist(), strict=True)
+            ],
+            chain=chain,
             sample_time=self.log.sample_time,
             samples=len(self.log),
-            record=list(taps),
             max_time_step=self._time_step(inputs.values),
-            low_pass=None if resonates else LowPass(taps, self.kernels.step),
+            low_pass=None if resonates else LowPass(self._taps, self.kernels.step),
             sums=self._sums(values),
             variants=[(self._inputs(one).values, keys) for one, keys in variants],
         )
-        motion, slopes = ({name: run[k] for name, run in runs.items()} for k in (0, 1))
-        to_channels = self.filtered_channels if resonates else self._stack_channels
-        channels = to_channels(motion, values) + self.step_error_correction
-        tangent = to_channels(slopes, values)
-        del runs, slopes  # which have as many numbers as the tangent
-        tangent = inputs.by_parameters(tangent, core_directions, by_core)
-        scales = self.sensor_scales(values)
-        if np.any(scales != 1.0):
-            tangent *= scales[:, None]
-        if len(by_core) < len(directions):
-            sensor_places = [k for k, key in enumerate(directions) if constant_of(key)]
-            keys = [directions[k] for k in sensor_places]
+        if resonates:
+            read, tangent = (self._behind_mounts(one, values) for one in (read, tangent))
+        channels = read / scales + self.step_error_correction
+        if of_sensors.any():
+            keys = [key for key in directions if constant_of(key)]
             by_sensors = self.sensor_tangent(channels, values, initial, keys)
-            columns = np.empty((*channels.shape, tangent.shape[2] + len(sensor_places)))
-            columns[..., np.delete(np.arange(columns.shape[2]), sensor_places)] = tangent
-            columns[..., sensor_places] = by_sensors
-            tangent = columns
+            changed = np.flatnonzero(slope[of_sensors].any(axis=0))
+            tangent[..., n_initial + changed] += by_sensors @ slope[np.ix_(of_sensors, changed)]
         return channels * scales + self.drifts(values), tangent
 
     def _inputs(self, values: Mapping[Key, float]) -> RecordInputs:
@@ -538,17 +545,23 @@ class Dataset:
     def filtered_channels(
         self, runs: Mapping[Quantity, FloatArray], values: Mapping[Key, float]
     ) -> FloatArray:
-        """Rows (n_rows, n_channels, ...) from samples (n_samples, n_joints, ...) of each quantity.
+        """Rows (n_rows, n_channels) from samples (n_samples, n_joints) of each quantity.
 
         `values` must contain the mountings of sensors of unknown mounting.
         """
-        if not self._has_resonant_mount(values):
-            return self._stack_channels(self.rows(runs), values)
-        readings = [
-            self._filter_by_mount(c, c.reading(runs, values), values) for c in self.channels
-        ]
-        pairs = zip(readings, self.channels, strict=True)
-        return np.stack([self.kernels.rows(x, slope=c.reads_angle) for x, c in pairs], axis=1)
+        if self._has_resonant_mount(values):
+            return self._behind_mounts(self._stack_channels(runs, values), values)
+        return self._stack_channels(self.rows(runs), values)
+
+    def _behind_mounts(self, samples: FloatArray, values: Mapping[Key, float]) -> FloatArray:
+        """Rows (n_rows, n_channels, ...) of channels (n_samples, n_channels, ...) on mounts."""
+        rows = (
+            self.kernels.rows(
+                self._filter_by_mount(channel, samples[:, k], values), slope=channel.reads_angle
+            )
+            for k, channel in enumerate(self.channels)
+        )
+        return np.stack(list(rows), axis=1)
 
     def _has_resonant_mount(self, values: Mapping[Key, float]) -> bool:
         """Whether any sensor mount resonates, which requires samples instead of rows."""
@@ -568,14 +581,10 @@ class Dataset:
         return {name: self.kernels.rows(runs[name], slope=rate) for name, rate in kinds}
 
     def _stack_channels(
-        self, rows: Mapping[Quantity, FloatArray], values: Mapping[Key, float]
+        self, of: Mapping[Quantity, FloatArray], values: Mapping[Key, float]
     ) -> FloatArray:
-        """Channels (n_rows, n_channels, ...) from rows (n_rows, n_joints, ...) of each quantity."""
-        like = next(iter(rows.values()))
-        stacked = np.empty((len(like), len(self.channels), *like.shape[2:]))
-        for k, channel in enumerate(self.channels):  # one at a time: derivatives are large
-            stacked[:, k] = channel.reading(rows, values)
-        return stacked
+        """Channels (n, n_channels) from samples or rows (n, n_joints) of each quantity."""
+        return np.stack([channel.reading(of, values) for channel in self.channels], axis=1)
 
 
 def noise_behind(

@@ -42,7 +42,11 @@ from strainwave.identification.whole_arm.problem.parameter_space import (
 )
 from strainwave.identification.whole_arm.problem.weighted_rows import Evaluation
 from strainwave.identification.whole_arm.records.dataset import Dataset
-from strainwave.identification.whole_arm.search import Fit, refine, resumed_coarse_search
+from strainwave.identification.whole_arm.search import (
+    Fit,
+    refine,
+    resumed_coarse_search,
+)
 from strainwave.identification.whole_arm.selection.candidate import Candidate, Selection
 from strainwave.numerics.spectra import estimate_rows_per_error
 from strainwave.signals.prepared_record import prepare_record
@@ -178,6 +182,11 @@ add_coarse_sensor_constants = Candidate(
     is_repeated=True,
 )
 add_fine_sensor_constants = Candidate(_with_significant_constants, refine, is_repeated=True)
+
+
+def with_evident_constants(fit: Fit, selection: Selection) -> Fit:
+    """The fit with the constants that are significant already."""
+    return _with_significant_constants(fit, selection) or fit
 
 
 def _without_least_significant(fit: Fit, selection: Selection) -> Fit | None:
