@@ -15,7 +15,7 @@ from strainwave.domain import ArmModel, Joint, Log, SearchEnd, Study
 from strainwave.domain.arm.kinds import single_joint
 from strainwave.domain.keys import Values
 from strainwave.dynamics.arm import Arm
-from strainwave.identification.motor_responses import modes_of_motor, motor_response
+from strainwave.identification.motor_responses import modes_of_motor, motor_responses
 from strainwave.report.document import bode
 from strainwave.report.figures import Line, Markers
 
@@ -114,9 +114,9 @@ def test_the_true_arm_answers_as_its_record_and_another_does_not(
     recorded: tuple[Study, Values, Log],
 ) -> None:
     study, values, log = recorded
-    response = motor_response(log, _arm_model(values), (), Arm.of(study.arm))
-    softer = motor_response(
-        log,
+    (response,) = motor_responses([log], _arm_model(values), (), Arm.of(study.arm))
+    (softer,) = motor_responses(
+        [log],
         _arm_model({**values, ("gear_stiffness", 1): 0.8 * values["gear_stiffness", 1]}),
         (),
         Arm.of(study.arm),
@@ -140,7 +140,7 @@ def test_the_true_arm_answers_as_its_record_and_another_does_not(
 
 def test_the_figure_shows_both_and_marks_the_modes(recorded: tuple[Study, Values, Log]) -> None:
     study, values, log = recorded
-    response = motor_response(log, _arm_model(values), (), Arm.of(study.arm))
+    (response,) = motor_responses([log], _arm_model(values), (), Arm.of(study.arm))
     figure = bode.motor_figure(response)
     names = {mark.name for mark in figure.marks if isinstance(mark, Line | Markers)}
     assert {"measured", "fitted arm, simulated"} <= names

@@ -151,7 +151,7 @@ def plan_run(
     sample_time: float,
     samples: int,
     record: Sequence[Quantity],
-    max_time_step: float,
+    max_time_step: float = MAX_TIME_STEP,
     sums: Mapping[Quantity, FloatArray] | None = None,
 ) -> PlannedRun:
     """Prepare one experiment on one arm; arguments and errors are those of `sensitivities`."""
@@ -271,7 +271,7 @@ def _experiment(
     drive: Drive,
     sampling: tuple[float, int],
     record: Sequence[Quantity],
-    max_time_step: float,
+    max_time_step: float = MAX_TIME_STEP,
     sums: Mapping[Quantity, FloatArray] | None = None,
 ) -> _core.Experiment:
     """The experiment for the core; `sampling` is the time and number of samples."""

@@ -22,7 +22,13 @@ from strainwave.domain.keys import Key, Values
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.link_sensors import apply_sensor_model
 from strainwave.dynamics.rigid_prediction import fit_percent
-from strainwave.dynamics.simulation import Drive, record_inputs, simulate_arms
+from strainwave.dynamics.simulation import (
+    Drive,
+    Samples,
+    plan_run,
+    record_inputs,
+    simulate_runs,
+)
 from strainwave.numerics.filters import differentiate, low_pass, noise_std
 from strainwave.signals.prepared_record import prepare_record
 from strainwave.signals.recorded_input import (
@@ -89,34 +95,41 @@ class ObservedMotion:
         """Whether each channel clearly exceeds its noise."""
         return tuple((np.std(self.measured, axis=0) > MIN_SIGNAL_TO_NOISE * self.noise).tolist())
 
-    def simulate(self, arm: Arm, values: Mapping[Key, float]) -> FloatArray:
-        """Simulated channels (n_rows, n_channels) of an arm in the same experiment.
+    def simulate(self, arm: Arm, *variants: Mapping[Key, float]) -> list[FloatArray]:
+        """Simulated channels (n_rows, n_channels) of an arm with several sets of values.
 
         The bias of an accelerometer is unknown, so the simulated mean is set to the measured one.
         Torque holds, delays and scales are applied if they are among the values. The arm has
-        the springs and effects of `values`, which maps (name, joint) to a value.
+        the springs and effects of the values, which map (name, joint) to a value.
         """
-        arm = restrict_to_values(arm, values)
         record: list[Quantity] = ["encoder"]
         if self.axes:
             record.append(_READ)
-        is_hanging = self.drive.link_angle is None
-        inputs = record_inputs(
-            arm,
-            dict(values),
-            self.log.name,
-            hanging=is_hanging,
-            payload=self.log.experiment.payload,
-        )
-        change = prepare_record(self.log, arm).hold_change * np.logical_not(self.drive.servo)
-        runs = simulate_arms(
-            arm,
-            [inputs.values],
-            hold_torques(inputs.shift_start(self.drive), change, values),
-            sample_time=self.log.sample_time,
-            samples=len(self.log),
-            record=record,
-        )
+        runs = []
+        for values in variants:
+            restricted = restrict_to_values(arm, values)
+            inputs = record_inputs(
+                restricted,
+                dict(values),
+                self.log.name,
+                hanging=self.drive.link_angle is None,
+                payload=self.log.experiment.payload,
+            )
+            change = prepare_record(self.log, arm).hold_change * np.logical_not(self.drive.servo)
+            run = plan_run(
+                restricted,
+                inputs.values,
+                hold_torques(inputs.shift_start(self.drive), change, values),
+                sample_time=self.log.sample_time,
+                samples=len(self.log),
+                record=record,
+            )
+            runs.append(run)
+        pairs = zip(simulate_runs(runs), variants, strict=True)
+        return [self._channels(run, arm, values) for run, values in pairs]
+
+    def _channels(self, run: Samples, arm: Arm, values: Mapping[Key, float]) -> FloatArray:
+        """Channels (n_rows, n_channels) of a simulation."""
         motors = [
             SensorAxis(MotorEncoder.of_joint(joint), i) for i, joint in enumerate(arm.joints, 1)
         ]
@@ -125,7 +138,7 @@ class ObservedMotion:
         ]
         columns = []
         for name, axis in read:
-            ideal = runs[name][0, :, axis.joint - 1]
+            ideal = run[name][:, axis.joint - 1]
             columns.append(apply_sensor_model(ideal, self.log.sample_time, axis, values)[:, None])
         filtered = _filter(np.hstack(columns), arm.n_joints, self.log, self.cutoff_hz)
         shift = self.measured.mean(axis=0) - filtered.mean(axis=0)
@@ -180,7 +193,7 @@ def predict_closed_loop(
     `NumericalFailure` if the simulated motion is not finite.
     """
     observed = observe(log, arm, cutoff_hz)
-    return build_prediction(observed, observed.simulate(arm, values))
+    return build_prediction(observed, *observed.simulate(arm, values))
 
 
 def build_prediction(observation: ObservedMotion, predicted: FloatArray) -> Prediction:

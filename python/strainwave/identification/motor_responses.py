@@ -8,6 +8,7 @@ depends on the other joints: while they are free, it has more modes than while t
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 
 import numpy as np
 
@@ -23,9 +24,10 @@ from strainwave.domain import (
 from strainwave.domain.arm.gear_laws import STIFFNESS
 from strainwave.domain.keys import Key
 from strainwave.dynamics.arm import Arm
-from strainwave.dynamics.simulation import simulate_arms
+from strainwave.dynamics.simulation import Samples, plan_run, simulate_runs
 from strainwave.identification.closed_loop import restrict_to_values, velocity_band
 from strainwave.numerics.filters import differentiate
+from strainwave.numerics.parallel import run_parallel
 from strainwave.numerics.spectra import cross_spectral_densities
 from strainwave.signals.prepared_record import prepare_record
 from strainwave.signals.recorded_input import driven_by_voltage
@@ -39,30 +41,42 @@ _MIN_FREQUENCY_SHARE = 1e-6
 _MIN_POWER_SHARE = 1e-4
 
 
-def motor_response(
-    log: Log, model: ArmModel, joints: Sequence[JointModel], arm: Arm
-) -> MotorResponse:
-    """Frequency response from motor torque to motor velocity, of the rig and of the fitted arm.
+def motor_responses(
+    logs: Sequence[Log], model: ArmModel, joints: Sequence[JointModel], arm: Arm
+) -> list[MotorResponse]:
+    """Frequency responses from motor torque to motor velocity, of the rig and of the fitted arm.
 
-    Cross-spectra S_uw / S_uu by Welch's method over segments of at most half the record. `log` must
-    name its joint. `joints` gives the equivalent stiffness of nonlinear gears.
+    Cross-spectra S_uw / S_uu by Welch's method over segments of at most half the record. Each of
+    `logs` must name its joint. `joints` gives the equivalent stiffness of nonlinear gears.
 
-    Raises `InvalidInput` if the log lacks a motor angle or voltage, or names no joint;
-    `NumericalFailure` if the simulated motion is not finite.
+    Raises `InvalidInput` if a log lacks a motor angle or voltage, or names no joint;
+    `NumericalFailure` if a simulated motion is not finite.
     """
-    driven, drive = driven_by_voltage(arm, log)
-    runs = simulate_arms(
-        restrict_to_values(driven, model.values),
-        [dict(model.values)],
-        drive,
-        sample_time=log.sample_time,
-        samples=len(log),
-        record=["motor_torque", "motor_angle"],
-    )
+    plans = []
+    for log in logs:
+        driven, drive = driven_by_voltage(arm, log)
+        plan = plan_run(
+            restrict_to_values(driven, model.values),
+            dict(model.values),
+            drive,
+            sample_time=log.sample_time,
+            samples=len(log),
+            record=["motor_torque", "motor_angle"],
+        )
+        plans.append(plan)
+    runs = simulate_runs(plans)
+    of_logs = zip(logs, runs, strict=True)
+    return run_parallel([partial(_response, log, run, model, joints, arm) for log, run in of_logs])
+
+
+def _response(
+    log: Log, run: Samples, model: ArmModel, joints: Sequence[JointModel], arm: Arm
+) -> MotorResponse:
+    """Response of one motor from its record and the simulated one."""
     number, T = log.experiment.joint or 1, log.sample_time
     motor_angle = prepare_record(log, arm).motor_angle
-    angles = np.column_stack([motor_angle[:, number - 1], runs["motor_angle"][0, :, number - 1]])
-    columns = np.column_stack([runs["motor_torque"][0, :, number - 1], differentiate(angles, T)])
+    angles = np.column_stack([motor_angle[:, number - 1], run["motor_angle"][:, number - 1]])
+    columns = np.column_stack([run["motor_torque"][:, number - 1], differentiate(angles, T)])
     segment = min(len(log) // 2, round(_MAX_SEGMENT_SECONDS / T))
     frequency, density = cross_spectral_densities(columns, T, segment)
     power = density[:, 0, 0].real

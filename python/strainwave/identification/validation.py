@@ -23,7 +23,7 @@ from strainwave.domain.keys import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.rigid_prediction import band_prediction
 from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure
-from strainwave.identification.closed_loop import ObservedMotion, build_prediction, observe
+from strainwave.identification.closed_loop import build_prediction, observe
 from strainwave.signals.recorded_input import driven_by_voltage
 
 _MIN_PERIODS = 2.5
@@ -181,10 +181,11 @@ def predict_elastic(model: ArmModel, log: Log, arm: Arm) -> Prediction:
     needs.
     """
     values, observed = dict(model.values), observe(log, arm)
-    motion = observed.simulate(arm, values)
-    prediction = build_prediction(observed, motion)
     elastic = [n for n, joint in enumerate(arm.joints, start=1) if joint.elastic]
-    effects = {n: _stiffness_effects(prediction, observed, n, values, arm) for n in elastic}
+    motion, *stiffer = observed.simulate(arm, values, *(_stiffer(values, n) for n in elastic))
+    prediction = build_prediction(observed, motion)
+    pairs = zip(elastic, stiffer, strict=True)
+    effects = {n: _stiffness_effects(prediction, changed) for n, changed in pairs}
     typical, noise = _typical_motion(model), observed.noise
 
     def varied() -> Iterator[FloatArray]:
@@ -196,7 +197,8 @@ def predict_elastic(model: ArmModel, log: Log, arm: Arm) -> Prediction:
         for other in _variations(np.array(list(values.values())), coulomb, places, covariance):
             try:
                 changed = dict(zip(keys, other.tolist(), strict=True))
-                yield observed.simulate(arm, changed) - motion
+                (other_motion,) = observed.simulate(arm, changed)
+                yield other_motion - motion
             except (InvalidInput, NumericalFailure):  # the values are physically impossible
                 continue
 
@@ -205,7 +207,7 @@ def predict_elastic(model: ArmModel, log: Log, arm: Arm) -> Prediction:
     driven, drive = driven_by_voltage(arm, log)
     by_voltage = replace(observed, drive=drive)
     is_servo_at_fault = bool(errors) and not _unexplained_errors(
-        build_prediction(by_voltage, by_voltage.simulate(driven, values)), noise, typical, varied
+        build_prediction(by_voltage, *by_voltage.simulate(driven, values)), noise, typical, varied
     )
     return replace(
         prediction,
@@ -226,22 +228,23 @@ def _typical_motion(model: ArmModel) -> Mapping[str, _TypicalMotion]:
     return typical
 
 
-def _stiffness_effects(
-    prediction: Prediction, observed: ObservedMotion, joint: int, values: Values, arm: Arm
-) -> Mapping[str, float]:
-    """Relative change of each channel with a fit for 20 % more stiffness of one gear.
-
-    The change is relative to the standard deviation of the channel. If the motion is too slow to
-    load the gear, any stiffness predicts it equally well, and the record does not validate the
-    elastic model.
-    """
-    stiffer = {
+def _stiffer(values: Values, joint: int) -> Values:
+    """Values with 20 % more stiffness of one gear."""
+    return {
         (name, number): value
         * (_STIFFNESS_FACTOR if number == joint and family_of(name) == "stiffness" else 1.0)
         for (name, number), value in values.items()
     }
-    stiffer_motion = observed.simulate(arm, stiffer)
-    change = np.sqrt(np.mean((stiffer_motion - prediction.predicted) ** 2, axis=0))
+
+
+def _stiffness_effects(prediction: Prediction, stiffer: FloatArray) -> Mapping[str, float]:
+    """Relative change of each channel with a fit for more stiffness of one gear.
+
+    `stiffer` (n_rows, n_channels) is the motion with that stiffness. The change is relative to the
+    standard deviation of the channel. If the motion is too slow to load the gear, any stiffness
+    predicts it equally well, and the record does not validate the elastic model.
+    """
+    change = np.sqrt(np.mean((stiffer - prediction.predicted) ** 2, axis=0))
     relative = change / np.maximum(np.std(prediction.measured, axis=0), np.finfo(float).tiny)
     effects = zip(prediction.channels, relative.tolist(), strict=True)
     return {name: effect for name, effect in effects if np.isfinite(prediction.fit_percent[name])}

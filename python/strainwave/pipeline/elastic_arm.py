@@ -37,7 +37,7 @@ from strainwave.dynamics.rigid_prediction import mean_postures
 from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure
 from strainwave.identification import decoupling, frequency, validation, whole_arm
 from strainwave.identification import joint_model as physical
-from strainwave.identification.motor_responses import motor_response
+from strainwave.identification.motor_responses import motor_responses
 from strainwave.identification.torsion import fit_torsions
 from strainwave.numerics.parallel import both, run_parallel
 from strainwave.pipeline.inputs import Inputs, Reporter, attempt
@@ -213,12 +213,12 @@ def _compare_motors(
 ) -> tuple[MotorResponse, ...]:
     """Responses of each motor at full amplitude, measured and simulated."""
     with reporter.time_part("checks", "comparing the motors' responses"):
-        jobs = [
-            partial(motor_response, log, arm_model, joints, inputs.arm)
+        logs = [
+            log
             for log in inputs.logs_of("frequency")
             if log.experiment.joint is not None and missing_motor_signal(inputs.arm, log) is None
         ]
-        return tuple(run_parallel(jobs))
+        return tuple(motor_responses(logs, arm_model, joints, inputs.arm))
 
 
 def fit_elastic_joints(

@@ -180,16 +180,16 @@ def fine_search(
     )
     if start.iterations >= options.max_iterations:  # no evaluations are left; only the cost is new
         return replace(fit, iterations=start.iterations, end=SearchEnd.EVALUATION_LIMIT)
-    for tolerance in (_FINE_TOLERANCE, COARSE_TOLERANCE):
+    for is_corrected in (False, True):
         if not fit.end.is_minimum:
             break
         if fit.iterations >= options.max_iterations:
             return replace(fit, end=SearchEnd.EVALUATION_LIMIT)
         corrected = fit.objective.correct_step_error(fit.z).update_weights(fit.z)
         fit = replace(fit, objective=corrected)
-        if tolerance < COARSE_TOLERANCE:
+        if not is_corrected:
             fit = extend(fit)
-        fit = refine(fit, options, tolerance)
+        fit = refine(fit, options)
     return fit
 
 
