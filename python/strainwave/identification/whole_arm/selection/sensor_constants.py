@@ -48,6 +48,7 @@ from strainwave.identification.whole_arm.search import (
     resumed_coarse_search,
 )
 from strainwave.identification.whole_arm.selection.candidate import Candidate, Selection
+from strainwave.numerics.search import Linearised, full_step
 from strainwave.numerics.spectra import estimate_rows_per_error
 from strainwave.signals.prepared_record import prepare_record
 
@@ -170,10 +171,10 @@ def _with_significant_constants(
 ) -> Fit | None:
     """The fit with the constants that reduce the cost significantly, and by a share of it."""
     min_gain = min_cost_share * fit.cost
-    estimates = _significant_constants(fit, selection.options, min_gain)
+    estimates, values = _significant_constants(fit, selection.options, min_gain)
     estimates |= significant_drifts(fit, selection.options, min_gain)
     space = update_prior_trust(add_sensor_constants(fit.space, list(estimates)), selection.arm)
-    return fit.with_unknowns(space, estimates) if estimates else None
+    return fit.with_unknowns(space, values | estimates) if estimates else None
 
 
 add_coarse_sensor_constants = Candidate(
@@ -185,8 +186,11 @@ add_fine_sensor_constants = Candidate(_with_significant_constants, refine, is_re
 
 
 def with_evident_constants(fit: Fit, selection: Selection) -> Fit:
-    """The fit with the constants that are significant already."""
-    return _with_significant_constants(fit, selection) or fit
+    """The fit with the constants that are significant already, and with weights for them."""
+    start = _with_significant_constants(fit, selection)
+    return (
+        fit if start is None else replace(start, objective=start.objective.update_weights(start.z))
+    )
 
 
 def _without_least_significant(fit: Fit, selection: Selection) -> Fit | None:
@@ -250,8 +254,10 @@ def _counterpart(key: Key) -> Key | None:
     return replace(constant, kind=other).key(key[1])
 
 
-def _significant_constants(fit: Fit, options: WholeArmOptions, min_gain: float) -> dict[Key, float]:
-    """Significant sensor constants and their values after one linear step.
+def _significant_constants(
+    fit: Fit, options: WholeArmOptions, min_gain: float
+) -> tuple[Values, Values]:
+    """Significant sensor constants, and all other values, after one linear step.
 
     Forward selection: each constant must reduce the cost by `min_gain` and significantly, given the
     constants before it.
@@ -265,14 +271,15 @@ def _significant_constants(fit: Fit, options: WholeArmOptions, min_gain: float) 
         if not _is_collinear_with_tilt(key, fit)
     ]
     if not candidates:
-        return {}
+        return Values(), fit.values
     objective, values, simulated = fit.objective, fit.values, fit.objective.simulate(fit.z)
 
     def tangent(k: int, _: Evaluation) -> list[FloatArray]:
         initial = objective.initial_states(k)
         return [objective.records[k].sensor_tangent(simulated[k], values, initial, candidates)]
 
-    columns, target = objective.project_columns(fit.z, len(candidates), tangent)
+    n, R = len(fit.z), objective.factor_with_columns(fit.z, len(candidates), tangent)
+    columns, target = R[n:, n:-1], R[n:, -1]
     selected: list[int] = []
     cost = float(target @ target)
     while remaining := set(range(len(candidates))) - set(selected):
@@ -291,11 +298,12 @@ def _significant_constants(fit: Fit, options: WholeArmOptions, min_gain: float) 
         best = min(enough, key=costs.__getitem__)
         selected.append(best)
         cost = costs[best]
-    estimates = np.linalg.lstsq(columns[:, selected], -target)[0]
-    return {
-        candidates[k]: nominal(candidates[k]) + float(size)
-        for k, size in zip(selected, estimates, strict=True)
-    }
+    sizes = np.linalg.lstsq(columns[:, selected], -target)[0]
+    pairs = zip(selected, sizes.tolist(), strict=True)
+    estimates = Values({candidates[k]: nominal(candidates[k]) + size for k, size in pairs})
+    residual = R[:n, -1] + R[:n, n:-1][:, selected] @ sizes
+    others = full_step(Linearised(cost, np.column_stack([R[:n, :n], residual])), fit.z, fit.space)
+    return estimates, fit.space.values(others)
 
 
 def _min_significance(key: Key) -> float:
