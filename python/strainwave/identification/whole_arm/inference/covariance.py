@@ -49,6 +49,7 @@ from strainwave.identification.whole_arm.problem.objective import BLOCKS_PER_REC
 from strainwave.identification.whole_arm.problem.weighted_rows import Rows, noise_autocovariances
 from strainwave.identification.whole_arm.records.dataset import Dataset
 from strainwave.identification.whole_arm.search import Fit
+from strainwave.numerics.filters import fast_length
 from strainwave.numerics.spectra import spectrum_and_autocovariance
 
 MIN_VARIANCE_SHARE = 1e-3
@@ -320,7 +321,7 @@ def gradient_covariances(
     """
     n = len(columns)
     max_lag = max(1, n // BLOCKS_PER_RECORD)
-    n_fft = 2 * ((n + max_lag + 1) // 2)
+    n_fft = fast_length(n + max_lag)
     taper = 1.0 - np.arange(max_lag) / max_lag
     multiplicity = np.full(n_fft // 2 + 1, 2.0)  # positive and negative frequencies
     multiplicity[[0, -1]] = 1.0
