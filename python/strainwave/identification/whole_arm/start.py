@@ -96,7 +96,8 @@ def prepare_start(
     if a record lacks data for its simulation.
     """
     used = _select_logs(logs, arm, options)
-    short, long = _records(used, [one for joints in candidates for one in joints], arm, options)
+    cutoff = _cutoff(used, [one for joints in candidates for one in joints], arm, options)
+    short, long = _records(used, cutoff, arm, options)
     placed = estimate_mounting_starts(logs, arm, used)
     starts = {**placed, **(given or {})}
 
@@ -108,8 +109,8 @@ def prepare_start(
     best, end_values = select_candidate(
         candidates, lambda joints: Objective.of(space_at(joints), long), options
     )
-    if len(candidates) > 1:  # the best candidate determines the band
-        short, long = _records(used, best, arm, options)
+    if (of_best := _cutoff(used, best, arm, options)) != cutoff:  # which determines the band
+        short, long = _records(used, of_best, arm, options)
     measured = {key for record in short for key in constants_of(record)}
     space = add_sensor_constants(space_at(best), [key for key in starts if key in measured])
     coarse, initial = _start_search(space, long, end_values, starts, options)
@@ -175,12 +176,18 @@ def _start_search(
     return fit, initial[kept]
 
 
-def _records(
+def _cutoff(
     used: Sequence[Log], joints: Sequence[JointModel], arm: Arm, options: WholeArmOptions
-) -> tuple[tuple[Dataset, ...], list[Dataset]]:
-    """The records in the band of the joints' resonances, in short and in long integrator steps."""
+) -> float:
+    """Upper edge [Hz] of the band, above the joints' resonances."""
     resonances = [joint.resonance.frequency_hz for joint in joints if joint.resonance]
-    cutoff = options.cutoff_hz or cutoff_of(used, arm, max(resonances, default=None))
+    return options.cutoff_hz or cutoff_of(used, arm, max(resonances, default=None))
+
+
+def _records(
+    used: Sequence[Log], cutoff: float, arm: Arm, options: WholeArmOptions
+) -> tuple[tuple[Dataset, ...], list[Dataset]]:
+    """The records in a band, in short and in long integrator steps."""
     plain = keep_known_effects(arm, ())
     resolutions = resolutions_of(used)
     records = tuple(
