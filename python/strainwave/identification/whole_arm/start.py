@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -47,6 +48,7 @@ from strainwave.identification.whole_arm.selection.sensor_constants import (
     add_sensor_constants,
     constants_of,
 )
+from strainwave.numerics.parallel import run_parallel
 from strainwave.numerics.search import Choice, CoordinateSearch
 from strainwave.signals.channels import resolutions_of
 from strainwave.signals.mounting_start import estimate_mounting_starts
@@ -190,10 +192,14 @@ def _records(
     """The records in a band, in short and in long integrator steps."""
     plain = keep_known_effects(arm, ())
     resolutions = resolutions_of(used)
-    records = tuple(
-        dataset_of(log, plain, cutoff, closed_loop=options.closed_loop, resolutions=resolutions)
-        for log in used
+    prepare = partial(
+        dataset_of,
+        arm=plain,
+        cutoff_hz=cutoff,
+        closed_loop=options.closed_loop,
+        resolutions=resolutions,
     )
+    records = tuple(run_parallel([partial(prepare, log) for log in used]))
     for record in records:
         _check_link_encoders(record, arm)
     step = 1.0 / (STEPS_PER_PERIOD * cutoff)
