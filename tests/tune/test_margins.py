@@ -11,6 +11,7 @@ from scipy.optimize import minimize_scalar
 from servo_arms import exact_responses, loops_of, rig
 from strainwave.domain import ComplexArray, FloatArray
 from strainwave.export.randomisation import drawn_values
+from strainwave.tune.cascade_tuning import Loops
 from strainwave.tune.closed_loop import (
     Clock,
     Gains,
@@ -18,6 +19,7 @@ from strainwave.tune.closed_loop import (
     Steps,
     close,
     frequency_grid,
+    low_pass,
     sample,
 )
 from strainwave.tune.margins import (
@@ -71,6 +73,33 @@ def test_a_loop_that_needs_gain_has_a_margin_downwards() -> None:
     margins = margins_of(np.array([2.0 * (s + 1.0) ** 2 / s**3]), OMEGA)
     assert margins.gain_db[0] == pytest.approx(20.0 * np.log10(4.0), abs=1e-3)
     assert margins.gain_hz[0] == pytest.approx(0.5 / np.pi, rel=1e-4)
+
+
+@pytest.mark.parametrize("joint", [0, 1])
+def test_encirclements_differ_by_the_unstable_poles(plants: Plants, joint: int) -> None:
+    """Stable and unstable loops under drawn gains and filters, the other joint's loop closed."""
+    loops = Loops.of(plants, Clock(1e-3, 0.4e-3))
+    every = np.arange(len(plants))
+    symmetric, rng = loops.responses.symmetric(every), np.random.default_rng(0)
+    encirclements, unstable = [], []
+    for _ in range(60):
+        bandwidth = np.exp(rng.uniform(np.log(1.0), np.log(3e3)))
+        kp, filters = 5e-3 * bandwidth, (low_pass(rng.uniform(20.0, 400.0), 1e-3),)
+        gains = GAINS.copy()
+        gains[joint] = Gains(
+            kp=kp,
+            ki=kp * bandwidth / rng.uniform(2.0, 10.0),
+            position_gain=bandwidth / rng.uniform(2.5, 15.0),
+            period=1e-3,
+            filters=filters[: rng.integers(2)],
+        )
+        loop = loops.open_loops(symmetric, loops.controllers(gains))[joint]
+        encirclements.append(margins_of(loop, loops.omega).encirclements)
+        poles = close(loops.sampled, [each.law() for each in gains]).poles()
+        unstable.append((np.abs(poles) > 1.0).sum(axis=1))
+    of_loops, of_poles = (np.array(each) for each in (encirclements, unstable))
+    assert {0, 2} <= set(of_poles.ravel().tolist())
+    np.testing.assert_array_equal(np.diff(of_loops, axis=0), np.diff(of_poles, axis=0))
 
 
 def test_a_loop_without_crossings_has_no_limits() -> None:

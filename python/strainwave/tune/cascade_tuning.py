@@ -59,7 +59,7 @@ _MAX_OVERSHOOT = 0.05  # of the link after a step of the position
 _N_SEARCH_DRAWS = 8
 _N_SWEEPS = 2  # over the joints; a third changes gains by less than a step
 _MAX_ADDED = 12  # rounds in which the worst plants join the search
-_ENTRIES = 200_000  # of responses that one thread judges at a time: 20 MB
+_ENTRIES = 400_000  # of responses that one thread judges at a time: 40 MB
 _N_CLOSED = 10  # plants whose loops are closed at a time: unstable ones often are for the first
 
 FilterMaker = Callable[[float], tuple[Biquad, ...]]
@@ -142,8 +142,9 @@ def tune_cascades(
     with np.errstate(divide="ignore"):
         max_kp = MAX_RIPPLE_SHARE * limits * period / resolutions
     search = np.flatnonzero(plants.draw <= _N_SEARCH_DRAWS)
+    resonances = plants.resonances()
     tuners = [
-        _Tuner(loops, required, i, float(inertia), float(largest))
+        _Tuner(loops, required, resonances, i, float(inertia), float(largest))
         for i, (inertia, largest) in enumerate(zip(inertias, max_kp, strict=True))
     ]
     start = _START_BANDWIDTH / (period + loops.clock.delay)
@@ -180,6 +181,7 @@ class _Tuner:
 
     loops: Loops
     required: Requirements
+    resonances: Sequence[tuple[FloatArray, FloatArray]]  # of `Plants.resonances`
     joint: int  # from 0
     inertia: float  # [V s^2/rad] at the motor, without torsion
     max_kp: float  # [V s/rad], by the encoder
@@ -213,14 +215,26 @@ class _Tuner:
             trial = [*laws[:joint], candidate.law(), *laws[joint + 1 :]]
             return (close(part, trial, (joint,)) for part in sampled)
 
-        def has_margins(candidate: Gains) -> bool:
-            margins = margins_of(plant * candidate.response(loops.z), loops.omega)
-            return bool(margins.share(self.required).min() >= 1.0)
+        def margins(candidate: Gains) -> Margins:
+            return margins_of(plant * candidate.response(loops.z), loops.omega)
 
         def keeps(candidate: Gains) -> bool:  # its margins, and all plants are stable
-            return has_margins(candidate) and all(
+            return bool(margins(candidate).share(self.required).min() >= 1.0) and all(
                 loop.are_stable(1.0).all() for loop in closed(candidate)
             )
+
+        of_stable: IntArray | None = None
+
+        def keeps_by_nyquist(candidate: Gains) -> bool:  # much faster, once a stable loop is known
+            nonlocal of_stable
+            trial = margins(candidate)
+            if trial.share(self.required).min() < 1.0:
+                return False
+            if of_stable is None:
+                if not keeps(candidate):
+                    return False
+                of_stable = trial.encirclements
+            return bool((trial.encirclements == of_stable).all())
 
         def overshoot(candidate: Gains) -> float:
             steps = (Steps.of(loop, [candidate])[0] for loop in closed(candidate))
@@ -238,12 +252,15 @@ class _Tuner:
 
             needed = self.bandwidth * _MIN_GAIN  # which few filters reach
             slower = [each for each in trials if each <= needed]
-            is_kept = not slower or has_margins(at(slower[-1]))
-            if not is_kept and any(keeps(at(each)) for each in slower[-2::-1]):
+            is_kept = not slower or keeps_by_nyquist(at(slower[-1]))
+            if not is_kept and any(keeps_by_nyquist(at(each)) for each in slower[-2::-1]):
                 continue
-            # stability takes longer than margins, which hold in few unstable loops
-            reached = _largest(lambda each: has_margins(at(each)), trials, highest)
-            if reached and not keeps(at(reached)):
+            # from a trial with margins, the search ends at least as high as from the first trial
+            begin = max(len(slower) - 1, 0) if is_kept else 0
+            reached = _largest(lambda each: keeps_by_nyquist(at(each)), trials[begin:], highest)
+            if begin and reached > needed:
+                reached = _largest(lambda each: keeps_by_nyquist(at(each)), trials, highest)
+            if reached > needed and not keeps(at(reached)):
                 reached = _largest(lambda each: keeps(at(each)), trials, highest)
             if reached > needed:
                 self.bandwidth, best = reached, at(reached)
@@ -269,7 +286,7 @@ class _Tuner:
             return (notch(frequency_hz, width, _NOTCH_DEPTH, period),)
 
         yield from (partial(low_pass_over, ratio) for ratio in _LOW_PASS_RATIOS)
-        for omega, _ in self.loops.plants.resonances():
+        for omega, _ in self.resonances:
             low, high = float(omega[search].min()), float(omega[search].max())
             if high < highest:
                 frequency_hz = float(np.sqrt(low * high)) / (2.0 * np.pi)

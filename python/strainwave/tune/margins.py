@@ -57,6 +57,7 @@ class Margins:
     modulus: FloatArray
     modulus_hz: FloatArray
     bandwidth_hz: FloatArray  # highest frequency at which the loop's gain is one
+    encirclements: IntArray  # of -1, clockwise, over both signs of the frequency
 
     def share(self, required: Requirements) -> FloatArray:
         """Smallest margin over the required one, per plant; at least one if all are kept."""
@@ -72,7 +73,9 @@ def margins_of(loop: ComplexArray, omega: FloatArray) -> Margins:
     """Margins of open-loop responses (n_plants, n_omega) at frequencies [rad/s].
 
     Crossings are interpolated between neighbouring frequencies. A loop that never crosses has
-    infinite margins.
+    infinite margins. Encirclements are counted for loops with an integrator, which close at their
+    first frequency through the lower half plane. By Nyquist's criterion, they differ between two
+    stable control laws of a plant by the difference of the numbers of unstable closed-loop poles.
     """
     hz, every = omega / (2.0 * np.pi), np.arange(len(loop))
 
@@ -90,6 +93,11 @@ def margins_of(loop: ComplexArray, omega: FloatArray) -> Margins:
     share = _shares(loop.imag[rows, columns], loop.imag[rows, columns + 1])
     begin, end = loop.real[rows, columns], loop.real[rows, columns + 1]
     at_axis = begin + share * (end - begin)
+    half_plane = np.sign(loop.imag)
+    upwards = half_plane[rows, columns + 1] - half_plane[rows, columns]
+    between = np.bincount(rows, upwards * (at_axis < -1.0), len(loop))
+    at_first = 2.0 * (half_plane[:, 0] > 0.0)
+    at_last = half_plane[:, -1] * (loop.real[:, -1] < -1.0)  # closed at half the sampling rate
     db = np.abs(20.0 * np.log10(np.maximum(np.abs(at_axis), 1e-300)))
     used = at_axis < 0.0
     gain_db, gain_hz = least(db[used], rows[used], hz_at(columns, share)[used])
@@ -105,7 +113,8 @@ def margins_of(loop: ComplexArray, omega: FloatArray) -> Margins:
     bandwidth[rows] = at_hz  # the last of repeated rows is assigned
     distance = np.abs(1.0 + loop)
     at = np.argmin(distance, axis=1)
-    return Margins(gain_db, gain_hz, phase_deg, phase_hz, distance[every, at], hz[at], bandwidth)
+    modulus, turns = (distance[every, at], hz[at]), (between + at_first - at_last).astype(int)
+    return Margins(gain_db, gain_hz, phase_deg, phase_hz, *modulus, bandwidth, turns)
 
 
 def _crossings(values: FloatArray) -> tuple[IntArray, IntArray]:
