@@ -13,7 +13,8 @@ stable and keep their margins, and if the least damping of all plants rises mark
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import partial
 from itertools import product
 
 import numpy as np
@@ -21,6 +22,7 @@ import numpy as np
 from strainwave.domain import ComplexArray, ControlLaw, FloatArray, IntArray
 from strainwave.domain.arm.description import MAX_LAW_STATES
 from strainwave.domain.keys import JointNumber
+from strainwave.numerics.parallel import run_parallel
 from strainwave.tune.cascade_tuning import Loops
 from strainwave.tune.closed_loop import POLE_TOLERANCE, Gains, SampledPlants, close
 from strainwave.tune.margins import Margins, Requirements, margins_of
@@ -40,6 +42,7 @@ _MAX_ROUNDS = 3  # of searches; the worst of all plants joins the next
 
 
 Pair = tuple[float, float]
+Pairs = tuple[Pair, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,7 +78,7 @@ def design_damping(
     modes = loops.plants.resonances(with_held_motors=True)
     highest = _LINK_BAND * max(float(omega.max()) for omega, _ in modes)
     search = _GainSearch(loops, laws, tuple(observers), required, highest)
-    plain = search.dampings(np.arange(len(loops.plants)), laws)
+    plain = search.dampings(np.arange(len(loops.plants)), search.no_feedback)
     without = _least_and_median(plain)
     if max(sizes) > MAX_LAW_STATES:
         reason = "servo, filters and observer have too many states for one control law"
@@ -123,6 +126,8 @@ class _GainSearch:
     observers: tuple[Observer, ...]
     required: Requirements
     highest: float  # [rad/s] of the poles that count as modes of the links
+    # (n_plants,) by gains: known results of `dampings`, otherwise not a number
+    ratios: dict[Pairs, FloatArray] = field(default_factory=dict)
 
     def unused(self, reason: str, without: Pair) -> tuple[Damping, ...]:
         same = (0.0, 0.0), reason, without, without, None
@@ -135,18 +140,16 @@ class _GainSearch:
         """
         without = _least_and_median(plain)
         every, reason = np.arange(len(self.loops.plants)), ""
-        ratios_of = {self._no_feedback: plain}  # of all plants, by gains
         for _ in range(_MAX_ROUNDS):
             laws = self.laws(pairs := self._climb(chosen))
-            if pairs not in ratios_of:
-                ratios_of[pairs] = self.dampings(every, laws)
-            reached, searched = _least_and_median(ratios_of[pairs]), chosen
+            ratios = self.dampings(every, pairs)
+            reached, searched = _least_and_median(ratios), chosen
             if reached[0] < MIN_RATIO * without[0]:
                 reason = (
                     f"it changes the least damping ratio of all plants from {without[0]:.3g} to "
                     f"{reached[0]:.3g} only"
                 )
-                chosen = np.union1d(chosen, np.argsort(ratios_of[pairs])[:_N_LEAST])
+                chosen = np.union1d(chosen, np.argsort(ratios)[:_N_LEAST])
             else:
                 margins = [each for each, _ in self.loops.judge(self.feedbacks(laws))]
                 shares = np.min([each.share(self.required) for each in margins], axis=0)
@@ -167,45 +170,47 @@ class _GainSearch:
         return tuple(results)
 
     @property
-    def _no_feedback(self) -> tuple[Pair, ...]:
+    def no_feedback(self) -> Pairs:
+        """Gains of zero."""
         return ((0.0, 0.0),) * len(self.observers)
 
-    def _climb(self, chosen: IntArray) -> tuple[Pair, ...]:
+    def _climb(self, chosen: IntArray) -> Pairs:
         """Gains of all joints with the largest objective over some plants, joint by joint."""
 
-        def objective_of(laws: Sequence[ControlLaw]) -> float:
-            ratios = self.dampings(chosen, laws)
+        def objective_of(pairs: Pairs) -> float:
+            ratios = self.dampings(chosen, pairs)
             return float(ratios.min() + _MEAN_WEIGHT * ratios.mean())
 
         symmetric, omega = self.loops.responses.symmetric(chosen), self.loops.omega
 
-        def keeps(laws: Sequence[ControlLaw]) -> bool:  # its margins
-            loops = self.loops.open_loops(symmetric, self.feedbacks(laws))
+        def keeps(pairs: Pairs) -> bool:  # its margins
+            loops = self.loops.open_loops(symmetric, self.feedbacks(self.laws(pairs)))
             margins = (margins_of(each, omega) for each in loops)
             return all(each.share(self.required).min() >= 1.0 for each in margins)
 
-        pairs = self._no_feedback
-        largest = objective_of(self.plain)
+        pairs = self.no_feedback
+        largest = objective_of(pairs)
         for k in range(len(self.observers)):
-            for pair in product(_TORSION_GAINS, _RATE_GAINS):
-                trial = (*pairs[:k], pair, *pairs[k + 1 :])
-                laws = self.laws(trial)
-                if (objective := objective_of(laws)) <= largest:
-                    continue
-                if keeps(laws):
+            trials = [
+                (*pairs[:k], pair, *pairs[k + 1 :]) for pair in product(_TORSION_GAINS, _RATE_GAINS)
+            ]
+            objectives = run_parallel([partial(objective_of, trial) for trial in trials])
+            for trial, objective in zip(trials, objectives, strict=True):
+                if objective > largest and keeps(trial):
                     pairs, largest = trial, objective
         return pairs
 
-    def laws(self, pairs: Sequence[Pair]) -> list[ControlLaw]:
+    def laws(self, pairs: Pairs) -> list[ControlLaw]:
         laws = list(self.plain)
         for one, pair in zip(self.observers, pairs, strict=True):
             if any(pair):
                 laws[one.joint - 1] = damped_law(laws[one.joint - 1], one, _scaled(one, pair))
         return laws
 
-    def dampings(self, chosen: IntArray, laws: Sequence[ControlLaw]) -> FloatArray:
+    def dampings(self, chosen: IntArray, pairs: Pairs) -> FloatArray:
         """Damping ratio of the least damped mode of the links: (n_chosen,); -1 if unstable."""
-        period = self.loops.clock.period
+        period, laws = self.loops.clock.period, self.laws(pairs)
+        ratios = self.ratios.setdefault(pairs, np.full(len(self.loops.plants), np.nan))
 
         def of_part(part: SampledPlants) -> FloatArray:
             poles = close(part, laws).poles()
@@ -216,7 +221,9 @@ class _GainSearch:
             largest = np.abs(poles).max(axis=1)
             return np.where(largest < 1.0 + POLE_TOLERANCE, ratios, -1.0)
 
-        return np.concatenate(self.loops.sampled.part(chosen).map(of_part))
+        if len(unknown := chosen[np.isnan(ratios[chosen])]):
+            ratios[unknown] = np.concatenate(self.loops.sampled.part(unknown).map(of_part))
+        return ratios[chosen]
 
     def feedbacks(self, laws: Sequence[ControlLaw]) -> ComplexArray:
         """Responses (n_joints, n_omega) from motor angles to minus voltages."""
