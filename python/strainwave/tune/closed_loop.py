@@ -6,7 +6,6 @@ Responses of plants to a sampled servo: hold, computation delay, current loop, a
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -27,7 +26,7 @@ _POINTS_PER_RESONANCE = 24  # over three half-power bandwidths
 _LOWEST_HZ = 0.05
 _PART = 100  # plants
 _MAX_SQUARINGS = 26  # of a loop whose slowest pole is at the largest stable one
-_SMALL_POWER = 1e-2  # norm of a power of a stable loop, beyond rounding
+_SMALL_POWER = 0.5  # norm of a power of a stable loop, beyond rounding
 _LARGE_POWER = 1e5  # norm beyond which rounding of the square is not small
 
 POLE_TOLERANCE = 1e-6
@@ -193,7 +192,7 @@ class SampledResponses:
     @property
     def n_entries(self) -> int:
         """Entries of S of one plant."""
-        return int(self.sums.residues.shape[1]) * len(self.omega)
+        return int(self.sums.numerators.shape[1]) * len(self.omega)
 
     def symmetric(self, chosen: IntArray) -> ComplexArray:
         """S of pairs of joints for some plants: (n_chosen, n_pairs, n_omega)."""
@@ -220,7 +219,7 @@ class SampledPlants:
 
     def map(self, function: Callable[[SampledPlants], Result]) -> list[Result]:
         """Results of a function of parts of the plants, in threads with small temporary arrays."""
-        n_parts = max(-(-len(self.A) // _PART), min(os.cpu_count() or 1, len(self.A)))
+        n_parts = -(-len(self.A) // _PART)
         pairs = zip(np.array_split(self.A, n_parts), np.array_split(self.B, n_parts), strict=True)
         return run_parallel([partial(function, replace(self, A=A, B=B)) for A, B in pairs])
 
@@ -306,20 +305,25 @@ class ClosedLoop:
 
         `inputs` of the joints are 0 for a pulse of the angle and 1 for one of the velocity.
         """
-        # link A^i and A^j b, with i in a block of samples and j its begin; powers of A double them
-        count, n_joints, size = len(self.A), len(self.links), int(np.sqrt(n_samples))
-        rows, power = np.broadcast_to(self.links, (count, *self.links.shape)), self.A
-        columns = np.stack([self.B[:, :, i, k] for i, k in enumerate(inputs)], axis=2)
-        while rows.shape[1] < size * n_joints:
-            rows = np.concatenate([rows, rows @ power], axis=1)
-            power = power @ power
-        while rows.shape[1] * columns.shape[2] < n_samples * n_joints**2:
-            columns = np.concatenate([columns, power @ columns], axis=2)
-            power = power @ power
-        rows = rows.reshape(count, -1, n_joints, rows.shape[2]).transpose(2, 0, 3, 1)
-        columns = columns.reshape(*columns.shape[:2], -1, n_joints).transpose(3, 0, 2, 1)
-        response = np.ascontiguousarray(columns) @ rows
-        return response.reshape(n_joints, count, -1)[:, :, :n_samples]
+        # link A^i and A^j b, with i in a block of samples and j its begin
+        size = 2 ** math.ceil(math.log2(n_samples) / 2.0)
+        blocks = 2 ** math.ceil(math.log2(n_samples / size))
+        columns = np.stack([self.B[:, :, i, k] for i, k in enumerate(inputs)], axis=1)
+        rows, power = _times_powers(self.links, self.A, size)
+        columns, _ = _times_powers(columns, np.swapaxes(power, 1, 2), blocks)
+        response = columns.transpose(2, 0, 1, 3) @ rows.transpose(2, 0, 3, 1)
+        return response.reshape(len(inputs), len(self.A), -1)[:, :, :n_samples]
+
+
+def _times_powers(rows: FloatArray, A: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
+    """Rows A^k for k below a power of two, (n_plants, count, n_rows, n), and A^count."""
+    done, n = rows.shape[-2:]
+    table = np.empty((len(A), count * done, n))
+    table[:, :done] = rows
+    while done < table.shape[1]:
+        np.matmul(table[:, :done], A, out=table[:, done : 2 * done])
+        A, done = A @ A, 2 * done
+    return table.reshape(len(A), count, -1, n), A
 
 
 def close(

@@ -116,15 +116,18 @@ class Plants:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoleSums:
-    """Responses of motor angles to motor torques as sums over the poles of each plant.
+    """Responses of motor angles to motor torques as sums over pairs of poles of each plant.
 
-    Poles and residues do not depend on servos. Responses are symmetric, so that those of pairs of
-    joints suffice: (0, 0), (0, 1) ... (n_joints - 1, n_joints - 1).
+        sum over k of (b_k + c_k s) / (s^2 + d_k s + e_k)
+
+    Both poles of a pair are real or they are conjugate. The coefficients do not depend on servos.
+    Responses are symmetric, so that those of pairs of joints suffice: (0, 0), (0, 1) ...
+    (n_joints - 1, n_joints - 1).
     """
 
     plants: Plants
-    poles: ComplexArray  # (n_plants, 2 n)
-    residues: ComplexArray  # (n_plants, n_pairs, 2 n)
+    numerators: FloatArray  # (n_plants, n_pairs, 2 n): b_k, then c_k
+    denominators: FloatArray  # (n_plants, 2, n): d_k and e_k
     is_accurate: BoolArray  # (n_plants,) false for nearly equal poles: those plants are solved
 
     @classmethod
@@ -137,14 +140,25 @@ class PoleSums:
 
     def responses(self, omega: FloatArray, chosen: IntArray) -> ComplexArray:
         """Responses (n_chosen, n_pairs, n_omega) at frequencies [rad/s]."""
-        response = self.residues[chosen] @ (1.0 / (1j * omega - self.poles[chosen, :, None]))
+        response = _sums(self.numerators[chosen], self.denominators[chosen], omega)
         if len(others := np.flatnonzero(~self.is_accurate[chosen])):
             response[others] = _solved_responses(self.plants.part(chosen[others]), omega)
         return np.asarray(response)
 
 
-def _pole_sums(plants: Plants, probed: FloatArray) -> tuple[ComplexArray, ComplexArray, BoolArray]:
-    """Poles, residues and accuracy of `PoleSums`."""
+def _sums(numerators: FloatArray, denominators: FloatArray, omega: FloatArray) -> ComplexArray:
+    """Responses of `PoleSums`, by one real product."""
+    d, e = np.moveaxis(denominators[..., None], 1, 0)
+    n, real, imag = d.shape[1], e - omega**2, d * omega
+    scale = 1.0 / (real**2 + imag**2)
+    terms = np.empty((len(d), 2 * n, len(omega)), dtype=complex)
+    terms.real[:, :n], terms.imag[:, :n] = real * scale, -imag * scale
+    terms.real[:, n:], terms.imag[:, n:] = omega * imag * scale, omega * real * scale
+    return np.asarray((numerators @ terms.view(np.float64)).view(np.complex128))
+
+
+def _pole_sums(plants: Plants, probed: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Numerators, denominators and accuracy of `PoleSums`."""
     system, by_torque = plants.equations()
     poles, modes = np.linalg.eig(system)
     first, second = np.triu_indices(plants.n_joints)
@@ -152,11 +166,19 @@ def _pole_sums(plants: Plants, probed: FloatArray) -> tuple[ComplexArray, Comple
         excited = np.swapaxes(np.linalg.solve(modes, by_torque), 1, 2)
         angles = plants.motors @ modes[:, : plants.mass.shape[1]]
         residues = angles[:, first] * excited[:, second]
-        sums = residues @ (1.0 / (1j * probed - poles[:, :, None]))
+        # conjugate poles, which are neighbours, before real poles
+        order = np.argsort(poles.imag == 0.0, axis=1, kind="stable")
+        poles = np.take_along_axis(poles, order, 1)
+        residues = np.take_along_axis(residues, order[:, None], 2)
+        (p, q), (r, t) = ((each[..., ::2], each[..., 1::2]) for each in (poles, residues))
+        numerators = np.concatenate([-r * q[:, None] - t * p[:, None], r + t], axis=2).real
+        denominators = np.stack([-p - q, p * q], axis=1).real
+        sums = _sums(numerators, denominators, probed)
         solved = _solved_responses(plants, probed)
         error = np.abs(sums - solved).max(axis=1)
     accuracy = _MAX_ROUNDING * np.abs(solved).max(axis=1)
-    return poles, residues, (error <= accuracy).all(axis=1)  # false for one that is not a number
+    is_accurate = (error <= accuracy).all(axis=1)  # false for one that is not a number
+    return numerators, denominators, is_accurate
 
 
 def _solved_responses(plants: Plants, omega: FloatArray) -> ComplexArray:
