@@ -47,6 +47,10 @@ class Linear(GearLaw):
         """Delta."""
         return torsion[:, None]
 
+    def torsion(self, values: Mapping[str, float], torque: FloatArray) -> FloatArray:
+        """T / K."""
+        return torque / values[STIFFNESS]
+
 
 CUBIC = "gear_stiffness_cubic"
 
