@@ -21,7 +21,7 @@ from strainwave.domain.arm.link_sensors.link_space import Quantity
 from strainwave.domain.keys import JointIndex, JointNumber, Values
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.link_sensors import JointMotion
-from strainwave.dynamics.simulation import Drive, simulate_arms
+from strainwave.dynamics.simulation import Drive, Samples, plan_run, simulate_arms, simulate_runs
 from strainwave.errors import InvalidInput, NumericalFailure
 from strainwave.export.source import IdentifiedArm
 from strainwave.tune.closed_loop import Gains, settling_times
@@ -82,17 +82,20 @@ def compare_moves(
     Raises `InvalidInput` if no duration up to a second stays within the voltage limit.
     """
     simulated, (gains, current) = Simulated.of(arm, limits), servos
+    period, changes = gains[0].period, MOVE * np.eye(len(gains))
+    plans = [shortest_plan(arm, posture, posture + each, period, limits) for each in changes]
+    drives = [simulated.follow(gains, plan) for plan in plans]
+    drives += [
+        simulated.step(servo, plan, change)
+        for servo in (gains, current)
+        if servo is not None
+        for plan, change in zip(plans, changes, strict=True)
+    ]
+    of_drives = _simulate(simulated, draws, drives, period)
     comparisons = []
-    for i in range(len(gains)):
-        end = posture.copy()
-        end[i] += MOVE
-        plan = shortest_plan(arm, posture, end, gains[0].period, limits)
-        drive = simulated.follow(gains, plan)
-        planned, planned_link = _simulate_all(simulated, draws, drive, i)
-        (step, step_link), *of_current = (
-            _simulate_all(simulated, draws, simulated.step(servo, plan, end - posture), i)
-            for servo in (gains, current)
-            if servo is not None
+    for i, plan in enumerate(plans):
+        (planned, planned_link), (step, step_link), *of_current = (
+            _move_of(simulated, runs, period, i) for runs in of_drives[i :: len(plans)]
         )
         comparisons.append(
             MoveComparison(
@@ -101,7 +104,7 @@ def compare_moves(
                 current=of_current[0][0] if of_current else None,
                 step=step,
                 planned=planned,
-                time=drive.tick * np.arange(len(step_link), dtype=np.float64),
+                time=period * np.arange(len(step_link), dtype=np.float64),
                 step_link=step_link,
                 planned_link=planned_link,
             )
@@ -184,27 +187,39 @@ class Simulated:
         )
 
 
-def _simulate_all(
-    simulated: Simulated, draws: Sequence[Values], drive: Drive, i: JointIndex
-) -> tuple[Move, FloatArray]:
-    """The worst move of joint i over all draws, and the band of its link over the move."""
+def _simulate(
+    simulated: Simulated, draws: Sequence[Values], drives: Sequence[Drive], period: float
+) -> list[list[Samples]]:
+    """Runs of each drive over all draws; together they fill the registers."""
     model = simulated.model
-    runs = simulate_arms(
-        model,
-        draws,
-        drive,
-        sample_time=drive.tick,
-        samples=len(drive.reference),
-        record=["link_angle", "voltage"],
-        max_time_step=min(map(model.max_time_step, draws)),
-    )
-    angle, peaks = runs["link_angle"][..., i], np.abs(simulated.inputs(runs["voltage"])[..., i])
+    vectors, runs = [model.parameter_vector(draw) for draw in draws], []
+    for drive in drives:
+        run = plan_run(
+            model,
+            draws[0],
+            drive,
+            sample_time=period,
+            samples=len(drive.reference),
+            record=["link_angle", "voltage"],
+            max_time_step=min(map(model.max_time_step, draws)),
+        )
+        runs += [replace(run, parameters=vector) for vector in vectors]
+    samples, n = simulate_runs(runs), len(draws)
+    return [samples[k : k + n] for k in range(0, len(samples), n)]
+
+
+def _move_of(
+    simulated: Simulated, runs: Sequence[Samples], period: float, i: JointIndex
+) -> tuple[Move, FloatArray]:
+    """The worst move of joint i over all runs, and the band of its link over the move."""
+    angle = np.stack([run["link_angle"][:, i] for run in runs])
+    peaks = np.abs([simulated.inputs(run["voltage"])[:, i] for run in runs])
     share = (angle - angle[:, :1]) / MOVE
     if not np.isfinite(share).all():
         raise NumericalFailure("the simulated move diverges")
     tail = share[:, 2 * share.shape[1] // 3 :]
     move = Move(
-        settling=float(settling_times(share, drive.tick).max()),
+        settling=float(settling_times(share, period).max()),
         overshoot=float(max(0.0, share.max() - 1.0)),
         vibration=float(0.5 * np.ptp(tail, axis=1).max()),
         peak_voltage=float(peaks.max()),
