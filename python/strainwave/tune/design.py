@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import product
 
 import numpy as np
@@ -16,7 +17,7 @@ from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure
 from strainwave.export.randomisation import drawn_values
 from strainwave.export.source import IdentifiedArm
 from strainwave.io.joint_covariance import IdentifiedNoise, JointCovariance
-from strainwave.numerics.parallel import one_blas_thread
+from strainwave.numerics.parallel import both, one_blas_thread
 from strainwave.tune.cascade_tuning import Loops, tune_cascades
 from strainwave.tune.closed_loop import (
     Clock,
@@ -166,8 +167,6 @@ def design_servo(
     of_current: Sequence[LoopResults | None] = [None] * len(tuned)
     if current and not n_unstable:
         of_current = _results(loops.judge(loops.controllers(current)), loops.sampled, current)
-    progress("ranking shapers")
-    modes, shapers = _shapers(plants, clock)
     progress("designing observers")
     observers = design_observers(arm, conditions[0], clock, noise)
     by_encoders, by_motors = (
@@ -179,20 +178,25 @@ def design_servo(
     dampings = design_damping(
         loops, gains, by_motors, options.required, [each.margins for each in results]
     )
-    progress("comparing moves")
-    posture = conditions[0].posture
+    progress("ranking shapers and comparing moves")
+    posture, refusal, unchecked = conditions[0].posture, "", ""
     moves: tuple[MoveComparison, ...] = ()
     estimation: tuple[EstimationError, ...] = ()
-    refusal, unchecked = "", ""
-    try:
-        few = draws[: _N_MOVE_DRAWS + 1]
-        moves = compare_moves(arm, (gains, current), few, posture, limits)
-        if observers:
-            pair, few = (observers, by_encoders), draws[: _N_ESTIMATION_DRAWS + 1]
-            estimation = errors_in_a_move(arm, pair, few, gains, posture, limits)
-    except (InvalidInput, NumericalFailure) as error:
-        unchecked = getattr(error, "problem", str(error))
-        refusal = "" if moves else unchecked
+
+    def simulate_moves() -> None:
+        nonlocal moves, estimation, refusal, unchecked
+        try:
+            few = draws[: _N_MOVE_DRAWS + 1]
+            moves = compare_moves(arm, (gains, current), few, posture, limits)
+            if observers:
+                pair, few = (observers, by_encoders), draws[: _N_ESTIMATION_DRAWS + 1]
+                estimation = errors_in_a_move(arm, pair, few, gains, posture, limits)
+        except (InvalidInput, NumericalFailure) as error:
+            unchecked = getattr(error, "problem", str(error))
+            refusal = "" if moves else unchecked
+
+    # shapers need the interpreter, simulations do not
+    (modes, shapers), _ = both(partial(_shapers, plants, clock), simulate_moves)
     return ServoDesign(
         arm=arm,
         options=options,
