@@ -207,8 +207,8 @@ impl Arm {
         for ((name, values), tangents) in experiment.record.iter().zip(values).zip(tangents) {
             let values: Bound<'py, PyArray2<f64>> =
                 PyArray1::from_vec(py, values).reshape(shape)?;
-            let tangents: Bound<'py, PyArray3<f64>> = PyArray1::from_vec(py, tangents)
-                .reshape([shape[0], shape[1], directions.len()])?;
+            let tangents: Bound<'py, PyArray3<f64>> =
+                PyArray1::from_vec(py, tangents).reshape([shape[0], shape[1], directions.len()])?;
             result.set_item(name, (values, tangents))?;
         }
         Ok(result)
@@ -281,7 +281,10 @@ impl Arm {
         let n_rows = decimation.map_or(samples, |all| all.rows(samples));
         let shape = [n_rows, of_log.len(), columns];
         let readings = PyArray1::from_vec(py, readings).reshape([shape[0], shape[1]])?;
-        Ok((readings, PyArray1::from_vec(py, derivatives).reshape(shape)?))
+        Ok((
+            readings,
+            PyArray1::from_vec(py, derivatives).reshape(shape)?,
+        ))
     }
 
     fn base_regressor<'py>(

@@ -1,6 +1,6 @@
 //! Stability of a matrix, and a barrier at the boundary of stability.
 
-use crate::linalg::inverse;
+use crate::linalg::{dot, inverse};
 use crate::model::{Model, Shape};
 
 /// Largest number of squarings: 2^40 steps are longer than any record.
@@ -46,6 +46,7 @@ pub struct Barrier {
     /// Value of the barrier.
     pub value: f64,
     slope: Vec<f64>,
+    /// (n^2, n^2), tr(P_a P_b) / 2 with P the inverse times the change by an entry of F.
     curvature: Vec<f64>,
 }
 
@@ -70,10 +71,13 @@ impl Barrier {
         let trace = |p: &[f64]| (0..size).map(|i| p[i * size + i]).sum::<f64>();
         let slope = relative.iter().map(|p| -0.5 * trace(p)).collect();
         let mut curvature = vec![0.0; size * size];
-        for (a, b) in pairs(size) {
-            curvature[a * size + b] = pairs(size)
-                .map(|(i, j)| 0.5 * relative[a][i * size + j] * relative[b][j * size + i])
-                .sum();
+        for (b, of_b) in relative.iter().enumerate() {
+            let transposed: Vec<f64> = pairs(size).map(|(i, j)| of_b[j * size + i]).collect();
+            for a in 0..=b {
+                let product = 0.5 * dot(&relative[a], &transposed); // half the trace of a product
+                curvature[a * size + b] = product;
+                curvature[b * size + a] = product;
+            }
         }
         Some(Self {
             value: -0.5 * log_determinant,
@@ -89,7 +93,6 @@ impl Barrier {
     /// single eigenvalue.
     pub fn along(&self, directions: &[Vec<f64>], definite: bool) -> (Vec<f64>, Vec<f64>) {
         let size = self.slope.len();
-        let dot = |l: &[f64], r: &[f64]| l.iter().zip(r).map(|(l, r)| l * r).sum::<f64>();
         let gradient: Vec<f64> = directions.iter().map(|d| dot(&self.slope, d)).collect();
         let width = directions.len();
         let mut curvature = vec![0.0; width * width];

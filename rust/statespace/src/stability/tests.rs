@@ -54,6 +54,53 @@ fn barrier_slope_matches_differences() {
     }
 }
 
+#[test]
+fn curvature_is_half_the_trace_of_products_of_relative_changes() {
+    let f = [0.6, 0.5, 0.1, -0.5, 0.7, 0.2, 0.3, -0.1, 0.8].map(|entry| 0.7 * entry);
+    let (n, size) = (3, 9);
+    let barrier = Barrier::at(&f, n).unwrap();
+    // the matrix is quadratic in each entry, so that differences are exact
+    let kronecker = |f: &[f64]| -> Vec<f64> {
+        (0..size * size)
+            .map(|at| {
+                let (row, column) = (at / size, at % size);
+                let one = f64::from(u8::from(row == column));
+                one - f[row / n * n + column / n] * f[row % n * n + column % n]
+            })
+            .collect()
+    };
+    let (inverse, _) = inverse(kronecker(&f), size).unwrap();
+    let relative: Vec<Vec<f64>> = (0..size)
+        .map(|entry| {
+            let mut moved = [f, f];
+            moved[0][entry] += 0.5;
+            moved[1][entry] -= 0.5;
+            let [up, down] = moved.map(|f| kronecker(&f));
+            (0..size * size)
+                .map(|at| {
+                    let (row, column) = (at / size, at % size);
+                    (0..size)
+                        .map(|k| {
+                            let change = up[k * size + column] - down[k * size + column];
+                            inverse[row * size + k] * change
+                        })
+                        .sum()
+                })
+                .collect()
+        })
+        .collect();
+    for a in 0..size {
+        for b in 0..size {
+            let trace: f64 = (0..size * size)
+                .map(|at| relative[a][at] * relative[b][at % size * size + at / size])
+                .sum();
+            let unit = |entry: usize| (0..size).map(|k| f64::from(u8::from(k == entry))).collect();
+            let (_, curvature) = barrier.along(&[unit(a), unit(b)], false);
+            assert!((curvature[1] - 0.5 * trace).abs() < 1e-12 * (1.0 + trace.abs()));
+        }
+    }
+}
+
 fn spiral(radius: f64, angle: f64) -> [f64; 4] {
     let (sin, cos) = angle.sin_cos();
     [radius * cos, -radius * sin, radius * sin, radius * cos]
