@@ -186,11 +186,17 @@ impl WeightedRows<'_> {
         let mut factor = TriangularFactor::new(n + 1);
         let mut weighted = vec![0.0; n + 1];
         for at in 0..self.scale.len() {
-            self.gather(at, &mut weighted);
             let scale = self.scale[at];
             let constant = &constants[at % self.channels * (n + 1)..][..n + 1];
-            for k in 0..n {
-                weighted[k] = scale * (weighted[k] - constant[k]);
+            let mut begin = 0;
+            for &Columns { values, unknowns } in self.columns {
+                let own = &values[at * unknowns..][..unknowns];
+                let constant = &constant[begin..][..unknowns];
+                let row = &mut weighted[begin..][..unknowns];
+                for k in 0..unknowns {
+                    row[k] = scale * (own[k] - constant[k]);
+                }
+                begin += unknowns;
             }
             weighted[n] = self.residual[at] - scale * constant[n];
             factor.add(&weighted);
@@ -203,20 +209,10 @@ impl WeightedRows<'_> {
         self.columns.iter().map(|part| part.unknowns).sum()
     }
 
-    /// Copies the unscaled derivatives of a row to the beginning of `row`.
-    fn gather(self, at: usize, row: &mut [f64]) {
-        let mut begin = 0;
-        for &Columns { values, unknowns } in self.columns {
-            row[begin..][..unknowns].copy_from_slice(&values[at * unknowns..][..unknowns]);
-            begin += unknowns;
-        }
-    }
-
     /// Constants (channels, unknowns + 1) that fit the unscaled rows best; zero without a bias.
     fn constants(self, biased: &[usize]) -> Vec<f64> {
         let n = self.unknowns();
         let mut constants = vec![0.0; self.channels * (n + 1)];
-        let mut row = vec![0.0; n];
         let mut power = vec![0.0; self.channels];
         let samples = self.scale.len().checked_div(self.channels).unwrap_or(0);
         for sample in 0..samples {
@@ -225,9 +221,14 @@ impl WeightedRows<'_> {
                 let scale = self.scale[at];
                 let sums = &mut constants[channel * (n + 1)..][..n + 1];
                 let weight = scale * scale;
-                self.gather(at, &mut row);
-                for k in 0..n {
-                    sums[k] += weight * row[k];
+                let mut begin = 0;
+                for &Columns { values, unknowns } in self.columns {
+                    let own = &values[at * unknowns..][..unknowns];
+                    let sums = &mut sums[begin..][..unknowns];
+                    for k in 0..unknowns {
+                        sums[k] += weight * own[k];
+                    }
+                    begin += unknowns;
                 }
                 sums[n] += scale * self.residual[at];
                 power[channel] += weight;
