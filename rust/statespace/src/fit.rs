@@ -7,7 +7,7 @@
 //! gives both. The barrier keeps the predictor stable. With a second barrier, A is stable as well; the
 //! cost then exceeds that of the best stable model by about half per pole at the limit.
 
-use crate::linalg::{cholesky, dot, log_determinant, solve_lower, solve_lower_transposed};
+use crate::linalg::{cholesky, log_determinant, solve_lower, solve_lower_transposed};
 use crate::model::{Model, Record};
 use crate::predictor;
 use crate::sensitivity::{NormalEquations, normal_equations};
@@ -325,4 +325,8 @@ fn standard_deviations(information: &[f64]) -> Vec<f64> {
             _ => 1.0,
         })
         .collect()
+}
+
+fn dot(left: &[f64], right: &[f64]) -> f64 {
+    left.iter().zip(right).map(|(l, r)| l * r).sum()
 }

@@ -2,24 +2,6 @@
 //!
 //! Sizes are numbers of parameters (tens), so a dependency is not justified.
 
-/// Sums in [`dot`] that do not wait for one another.
-const SUMS: usize = 8;
-
-/// Sum of products.
-#[inline(always)]
-pub fn dot(left: &[f64], right: &[f64]) -> f64 {
-    let (left, left_end) = left.as_chunks::<SUMS>();
-    let (right, right_end) = right.as_chunks::<SUMS>();
-    let mut sums = [0.0; SUMS];
-    for (left, right) in left.iter().zip(right) {
-        for k in 0..SUMS {
-            sums[k] += left[k] * right[k];
-        }
-    }
-    let end: f64 = left_end.iter().zip(right_end).map(|(l, r)| l * r).sum();
-    sums.iter().sum::<f64>() + end
-}
-
 /// Lower Cholesky factor of a symmetric row-major matrix; `None` if it is not positive definite.
 ///
 /// A pivot below the rounding of its diagonal entry counts as not positive.

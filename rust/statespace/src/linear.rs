@@ -13,7 +13,7 @@
 //! sums hold for every weighting of the outputs, and for the covariance of the innovations that
 //! belong to a solution.
 
-use crate::linalg::{cholesky, dot, inverse, solve_lower};
+use crate::linalg::{cholesky, inverse, solve_lower};
 use crate::model::{Model, Record, Shape};
 use crate::predictor::{self, DIVERGENCE_RATIO, Predictor};
 use filters::{Filters, WIDTH_STEP};
@@ -334,6 +334,11 @@ fn combine(matrix: &[f64], columns: usize, terms: &[(usize, f64)]) -> Vec<f64> {
             .for_each(|(r, s)| *r += weight * s);
     }
     row
+}
+
+#[inline(always)]
+fn dot(left: &[f64], right: &[f64]) -> f64 {
+    left.iter().zip(right).map(|(l, r)| l * r).sum()
 }
 
 fn identity(size: usize) -> Vec<f64> {

@@ -1,8 +1,10 @@
 //! Stability of a matrix, and a barrier at the boundary of stability.
 
-use crate::linalg::{dot, inverse};
+use crate::linalg::inverse;
 use crate::model::{Model, Shape};
 
+/// Sums of long products that do not wait for one another.
+const SUMS: usize = 8;
 /// Largest number of squarings: 2^40 steps are longer than any record.
 const MAX_DOUBLINGS: usize = 40;
 
@@ -144,6 +146,20 @@ fn relative_change(inverse: &[f64], f: &[f64], n: usize, (i, j): (usize, usize))
         }
     }
     product
+}
+
+/// Sum of products of long lists.
+fn dot(left: &[f64], right: &[f64]) -> f64 {
+    let (left, left_end) = left.as_chunks::<SUMS>();
+    let (right, right_end) = right.as_chunks::<SUMS>();
+    let mut sums = [0.0; SUMS];
+    for (left, right) in left.iter().zip(right) {
+        for k in 0..SUMS {
+            sums[k] += left[k] * right[k];
+        }
+    }
+    let end: f64 = left_end.iter().zip(right_end).map(|(l, r)| l * r).sum();
+    sums.iter().sum::<f64>() + end
 }
 
 fn pairs(n: usize) -> impl Iterator<Item = (usize, usize)> {

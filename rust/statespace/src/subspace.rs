@@ -5,7 +5,7 @@
 //! full past.
 
 use crate::hankel::{Hankel, is_well_conditioned};
-use crate::linalg::{dot, product, transposed};
+use crate::linalg::{product, transposed};
 use crate::model::{Model, Record, Shape};
 use std::sync::OnceLock;
 use strainwave_numerics::products::{Part, Rows, add_products};
@@ -398,4 +398,8 @@ fn add_scaled(target: &mut [f64], weight: f64, source: &[f64]) {
         .iter_mut()
         .zip(source)
         .for_each(|(t, s)| *t += weight * s);
+}
+
+fn dot(left: &[f64], right: &[f64]) -> f64 {
+    left.iter().zip(right).map(|(l, r)| l * r).sum()
 }
