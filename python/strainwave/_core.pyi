@@ -16,12 +16,14 @@ __all__ = [
     "LoadStream",
     "Subspace",
     "balancing",
+    "block_products",
     "gear_laws",
+    "huber_roots",
     "is_stable",
     "joint_effects",
     "parameter_table",
     "reduce",
-    "residual_products_without_blocks",
+    "solve",
     "stabilising_gain",
     "symmetric_filter",
     "triangular_factor",
@@ -47,6 +49,17 @@ _Servo = (
     tuple[Sequence[float], Sequence[float], float, Sequence[bool], Sequence[float] | None]
     | tuple[Sequence[_Law | None], float]
 )
+
+_WeightedEquations = tuple[
+    NDArray[np.float64],  # regressors of the common unknowns (n_rows, n_common)
+    NDArray[np.float64],  # standard deviations of the common unknowns (n_common,)
+    NDArray[np.float64],  # regressors of the parameters (n_rows, n_parameters)
+    NDArray[np.float64],  # targets (n_rows, n_targets)
+    NDArray[np.float64],  # square roots of the weights (n_rows,)
+    # local parts: rows, first unknown of each, its entries side by side, number of unknowns
+    Sequence[tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64], int]],
+    NDArray[np.float64],  # standard deviations of the unknowns of all parts (n_local,)
+]
 
 @final
 class Experiment:
@@ -239,13 +252,31 @@ class Arm:
     ) -> NDArray[np.float64]:
         """Centrifugal, Coriolis and gravity torques c + g of (2): (n_samples, n_joints)."""
 
+def block_products(
+    equations: _WeightedEquations, block: NDArray[np.int64], count: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Products of all columns without the local unknowns, each (n_columns, n_columns).
+
+    Columns are those of `reduce`, in units of the parameters. `block` (n_rows,) is less than
+    `count`; it is negative for priors. Returns the sum over all rows, the contribution of each
+    block (count, ...), and that of the errors of priors. The GIL is released. Raises ValueError for
+    sizes that do not fit, local unknowns of priors and entries that are not finite.
+    """
+
+def huber_roots(
+    residual: NDArray[np.float64],
+    leverage: NDArray[np.float64],
+    target: NDArray[np.float64],
+    group: NDArray[np.int64],
+    std_per_median: float,
+) -> NDArray[np.float64]:
+    """Square roots (n_rows,) of Huber's weights, 1 for negative groups; see `root_weights`.
+
+    Raises ValueError for sizes that do not fit.
+    """
+
 def reduce(
-    table: NDArray[np.float64],
-    root: NDArray[np.float64],
-    n_common: int,
-    n_parameters: int,
-    parts: Sequence[tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64], int]],
-    stds: NDArray[np.float64],
+    equations: _WeightedEquations,
 ) -> tuple[
     NDArray[np.float64],
     NDArray[np.float64],
@@ -253,26 +284,29 @@ def reduce(
     NDArray[np.float64],
     NDArray[np.float64],
 ]:
-    """Fields of `ReducedRows` for a table (n_rows, n_columns) whose rows are multiplied by `root`.
+    """Fields of `ReducedRows`. The GIL is released.
 
-    Its columns are those of common unknowns with unit variance, of parameters, and of targets.
-    Each part has rows of the table, the first unknown of each row, the entries of the row side by
-    side, and the number of unknowns; `stds` are those of all parts. Linear in the rows where the
-    windows follow one another. The GIL is released. Raises ValueError for sizes that do not fit
-    and entries that are not finite.
+    Linear in the rows where the windows follow one another. Raises ValueError for sizes that do not
+    fit and entries that are not finite.
     """
 
-def residual_products_without_blocks(
-    first: NDArray[np.int64],
-    entries: NDArray[np.float64],
-    unknowns: int,
-    right: NDArray[np.float64],
-    stops: Sequence[int],
-) -> list[NDArray[np.float64]]:
-    """Y'Y - Y'Z G^-1 Z'Y without each block of successive rows; `stops` lie behind their last.
+def solve(
+    equations: _WeightedEquations, noise: NDArray[np.float64]
+) -> tuple[
+    NDArray[np.float64],  # parameters (n_parameters, n_targets)
+    NDArray[np.float64],  # common unknowns (n_common, n_targets)
+    NDArray[np.float64],  # local unknowns (n_local, n_targets)
+    NDArray[np.float64],  # residuals (n_rows, n_targets)
+    NDArray[np.float64],  # norms of the parameters' columns
+    NDArray[np.float64],  # singular values
+    NDArray[np.float64],  # directions (n_parameters, n_parameters)
+    NDArray[np.bool_],  # whether they are resolved
+    NDArray[np.float64],  # leverages (n_rows,)
+]:
+    """Solution for each target and the other fields of `Factor`; see `factorise`.
 
-    Y, Z and G = Z'Z + I lack the block's rows. The GIL is released. Raises ValueError for stops
-    that do not rise within the rows, sizes that do not fit and entries that are not finite.
+    `noise` (n_parameters,) is the rms noise of each column. The GIL is released. Raises ValueError
+    for sizes that do not fit and entries that are not finite.
     """
 
 def symmetric_filter(

@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from strainwave import _core
 from strainwave.domain import BoolArray, FloatArray, IntArray
 from strainwave.domain.results.distributions import STD_PER_MEDIAN
-from strainwave.numerics.linalg import Banded, singular_values
-
-HUBER_LIMIT_STDS = 4.0
-"""Huber limit, in standard deviations. It reduces the influence of gross errors only. A lower limit
-would cut the heavy tails of friction residuals on one side of each velocity reversal."""
+from strainwave.numerics.linalg import Banded
 
 MAX_STD_SHARE_OF_TORQUE = 0.3
 """Largest standard deviation of an identifiable parameter, as a share of the total torque."""
@@ -23,10 +18,6 @@ MAX_STD_SHARE_OF_TORQUE = 0.3
 PRIOR_GROUP = -1
 """Group of rows with prior knowledge, each divided by its standard deviation."""
 
-# smallest ratio of a singular value to the noise of the regressor
-_MIN_SINGULAR_VALUE_TO_NOISE = 3.0
-# Smallest share of its error that remains in a residual used for the scale estimate.
-_MIN_RESIDUAL_SHARE = 0.2
 # Smallest component of a unit vector for which a parameter belongs to a direction.
 _MIN_DIRECTION_COMPONENT = 0.1
 
@@ -96,29 +87,22 @@ def factorise(equations: Equations, root: FloatArray) -> Factor:
     The SVD of the block of x in R gives the identifiable directions: their singular values exceed
     those of the regressor noise.
 
-    `root` (n_rows,): Square roots of the weights.
+    `root` (n_rows,): Square roots of the weights. Raises ValueError for values that are not finite.
     """
-    rows, n = rows_of(equations, root, equations.target[:, None]), equations.common.shape[1]
-    R, scale, stop = rows.factor, rows.scale, n + len(rows.scale)
-    U, s, Vt = singular_values(R[n:stop, n:stop])
-    noise = np.sqrt(Vt**2 @ (equations.noise * np.linalg.norm(root) / scale) ** 2)
-    is_identifiable = s > np.maximum(_MIN_SINGULAR_VALUE_TO_NOISE * noise, 1e-10 * s[0])
-    projection = U[:, is_identifiable].T @ R[n:stop, -1]
-    x = Vt[is_identifiable].T @ (projection / s[is_identifiable])
-    common = np.linalg.solve(R[:n, :n], R[:n, -1] - R[:n, n:-1] @ x)
-    shared = np.concatenate([common, x])
-    local = rows.below[:, -1] - rows.below[:, :-1] @ shared
+    weighted = _weighted(equations, root, equations.target[:, None])
+    value, common, local, residual, *parts = _core.solve(weighted, equations.noise)
+    scale, singular, directions, is_resolved, leverage = parts
     return Factor(
         root=root,
-        value=x / scale,
-        common=np.asarray(common * equations.common_deviation),
-        local=np.asarray(local * equations.local_deviation),
+        value=value[:, 0],
+        common=common[:, 0],
+        local=local[:, 0],
         scale=scale,
-        singular=s,
-        directions=Vt,
-        is_resolved=is_identifiable,
-        leverage=rows.leverage,
-        residual=(rows.own[:, -1] - rows.own[:, :-1] @ shared) / root,
+        singular=singular,
+        directions=directions,
+        is_resolved=is_resolved,
+        leverage=leverage,
+        residual=residual[:, 0],
     )
 
 
@@ -127,13 +111,7 @@ def moves(equations: Equations, factor: Factor, changes: FloatArray) -> FloatArr
 
     `changes` (n_rows, n_changes). Returns (n_parameters, n_changes).
     """
-    rows, n = rows_of(equations, factor.root, changes), equations.common.shape[1]
-    R, parameters = rows.factor, slice(n, n + len(rows.scale))
-    basis = factor.directions[factor.is_resolved].T
-    # R'R = V s^2 V', so R^-1 = V s^-2 V' R'
-    inverse = basis / factor.singular[factor.is_resolved] ** 2 @ basis.T
-    right = R[parameters, parameters].T @ R[parameters, parameters.stop :]
-    return np.asarray(inverse @ right / factor.scale[:, None])
+    return _core.solve(_weighted(equations, factor.root, changes), equations.noise)[0]
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,22 +131,24 @@ class ReducedRows:
     factor: FloatArray
 
 
-def rows_of(equations: Equations, root: FloatArray, targets: FloatArray) -> ReducedRows:
+def rows_of(equations: Equations, root: FloatArray) -> ReducedRows:
     """Eliminate the local parameters part by part, and factorise the remaining rows."""
-    common = equations.common * equations.common_deviation
-    table = np.concatenate([common, equations.shared, targets], axis=1)
-    return _reduced(equations, root, table, (common.shape[1], equations.shared.shape[1]))
+    return ReducedRows(*_core.reduce(_weighted(equations, root, equations.target[:, None])))
 
 
-def _reduced(
-    equations: Equations, root: FloatArray, table: FloatArray, sizes: tuple[int, int]
-) -> ReducedRows:
-    """Eliminate the local parameters of rows with other columns, the first of given numbers."""
+def _weighted(
+    equations: Equations, root: FloatArray, targets: FloatArray
+) -> _core._WeightedEquations:
+    """Weighted equations for several targets (n_rows, n_targets), as the core reads them."""
     parts = [
         (part.rows, part.columns.first, part.columns.entries, part.columns.n_columns)
         for part in equations.local
     ]
-    return ReducedRows(*_core.reduce(table, root, *sizes, parts, equations.local_deviation))
+    common, shared, targets = map(
+        np.ascontiguousarray, (equations.common, equations.shared, targets)
+    )
+    stds = equations.common_deviation, equations.local_deviation
+    return common, stds[0], shared, targets, root, parts, stds[1]
 
 
 def rows_of_local(equations: Equations) -> IntArray:
@@ -187,12 +167,6 @@ def _parts(equations: Equations) -> Iterator[tuple[Local, slice]]:
         yield part, slice(first, first := first + part.columns.n_columns)
 
 
-def _weighted_parts(equations: Equations, root: FloatArray) -> Iterator[tuple[Local, Banded]]:
-    """Each local part with its regressors for parameters of unit standard deviation."""
-    for part, own in _parts(equations):
-        yield part, part.columns.scaled(root[part.rows], equations.local_deviation[own])
-
-
 def residual_of(equations: Equations, factor: Factor) -> FloatArray:
     """Residual (n_rows,) of the equations."""
     residual = equations.target - equations.shared @ factor.value
@@ -207,25 +181,10 @@ def root_weights(equations: Equations, factor: Factor) -> FloatArray:
 
     w = min(1, HUBER_LIMIT_STDS / |r / s|) / s^2,   s = STD_PER_MEDIAN median |r / sqrt(1 - h)|
 
-    with the leverage h.
+    with the leverage h and HUBER_LIMIT_STDS = 4.
     """
-    root, sizes = np.ones_like(factor.residual), np.abs(factor.residual)
-    shares = np.maximum(1.0 - factor.leverage, _MIN_RESIDUAL_SHARE)
-    corrected, is_informative = sizes / np.sqrt(shares), shares > _MIN_RESIDUAL_SHARE
-    for g in np.unique(equations.group).tolist():
-        if g == PRIOR_GROUP:
-            continue
-        rows = equations.group == g
-        informative = corrected[rows & is_informative]
-        ordered = np.sort(informative if len(informative) else corrected[rows])
-        median = 0.5 * float(ordered[(len(ordered) - 1) // 2] + ordered[len(ordered) // 2])
-        # for an exact model, the residuals are rounding errors: keep the weights finite
-        target = equations.target[rows]
-        rms = math.sqrt(target @ target / len(target))
-        std = max(STD_PER_MEDIAN * median, 1e-6 * rms, 1e-300)
-        limit = HUBER_LIMIT_STDS * std
-        root[rows] = np.sqrt(limit / np.maximum(sizes[rows], limit)) / std
-    return root
+    residuals = factor.residual, factor.leverage, equations.target
+    return _core.huber_roots(*residuals, equations.group, STD_PER_MEDIAN)
 
 
 def initial_weights(target: FloatArray, group: IntArray) -> FloatArray:
@@ -251,71 +210,23 @@ def jackknife(equations: Equations, factor: Factor) -> tuple[FloatArray, FloatAr
     """
     basis = factor.directions[factor.is_resolved].T / factor.scale[:, None]
     to_parameters = basis / factor.singular[factor.is_resolved]
-    gram, block_grams, priors = _normal_equations(equations, factor.root, to_parameters)
+    is_data = equations.group != PRIOR_GROUP
+    block = np.full(len(is_data), -1, dtype=np.int64)
+    labels, block[is_data] = np.unique(equations.block[is_data], return_inverse=True)
+    inner = replace(equations, shared=equations.shared @ to_parameters)
+    weighted = _weighted(inner, factor.root, equations.target[:, None])
+    total, of_blocks, priors = _core.block_products(weighted, block, len(labels))
+    m, gram = len(labels), total[:-1]
     reference = np.linalg.solve(gram[:, :-1], gram[:, -1])
     # a small ridge keeps a direction that only one block determines at a finite value
-    rest = gram - block_grams + 1e-9 * np.eye(*gram.shape)
+    rest = gram - of_blocks[:, :-1] + 1e-9 * np.eye(*gram.shape)
     shifts = np.linalg.solve(rest[:, :, :-1], rest[:, :, -1:])[:, :, 0] - reference
-    m = len(shifts)
     inverse = np.linalg.inv(gram[:, :-1])
-    of_priors = inverse @ priors @ inverse
+    of_priors = inverse @ priors[:-1, :-1] @ inverse
     inner_covariance = (m - 1) / m * shifts.T @ shifts + of_priors
-    k = to_parameters.shape[1]
-    covariance: FloatArray = to_parameters @ inner_covariance[:k, :k] @ to_parameters.T
-    return covariance, np.asarray(np.diag(inner_covariance)[k:] * equations.common_deviation**2)
-
-
-def _normal_equations(
-    equations: Equations, root: FloatArray, back: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Normal equations of w and the common nuisance parameters, without the local parameters.
-
-    The parameters are x = `back @ w`. Returns the matrix (k, k + 1), whose last column is the
-    right-hand side, the contributions of the blocks to it, (n_blocks, k, k + 1), and that of the
-    errors of the priors, of unit variance, (k, k).
-    """
-    common = equations.common * equations.common_deviation
-    columns = [equations.shared @ back, common, equations.target]
-    table = np.column_stack(columns)
-    below = _reduced(equations, root, table, (0, 0)).below
-    rows, n = table * root[:, None], table.shape[1]
-    gram, priors = np.zeros((n, n)), np.zeros((n, n))
-    has_no_local = equations.group != PRIOR_GROUP
-    labels, block = np.unique(equations.block, return_inverse=True)
-    block_grams = np.zeros((len(labels), n, n))
-    for part, Z in _weighted_parts(equations, root):
-        if not Z.entries.size:
-            continue
-        part_gram, without = _without_blocks(Z, rows[part.rows], block[part.rows], len(labels))
-        gram += part_gram
-        block_grams += part_gram - without
-        has_no_local[part.rows] = False
-    for label in np.unique(block[has_no_local]).tolist():
-        block_rows = rows[has_no_local & (block == label)]
-        block_grams[label] += block_rows.T @ block_rows
-        gram += block_rows.T @ block_rows
-    n_own = n - 1 - common.shape[1]
-    priors += below.T @ below
-    prior_rows = np.vstack([rows[equations.group == PRIOR_GROUP], np.eye(n)[n_own:-1]])
-    gram += prior_rows.T @ prior_rows
-    priors += prior_rows.T @ prior_rows
-    has_rows = np.zeros(len(labels), dtype=bool)
-    has_rows[block[equations.group != PRIOR_GROUP]] = True
-    return gram[:-1], block_grams[has_rows, :-1], priors[:-1, :-1]
-
-
-def _without_blocks(
-    Z: Banded, right: FloatArray, block: IntArray, n_blocks: int
-) -> tuple[FloatArray, FloatArray]:
-    """Matrix right' (I + Z Z')^-1 right for all rows, and without each block, (n_blocks, ...)."""
-    order = np.argsort(block, kind="stable")
-    stops = [0, *np.cumsum(np.bincount(block, minlength=n_blocks)).tolist()]
-    Z = Z.rows(order)
-    right = np.ascontiguousarray(right[order])
-    full, *without = _core.residual_products_without_blocks(
-        Z.first, Z.entries, Z.n_columns, right, stops
-    )
-    return full, np.array(without)
+    n = len(equations.common_deviation)
+    covariance: FloatArray = to_parameters @ inner_covariance[n:, n:] @ to_parameters.T
+    return covariance, np.asarray(np.diag(inner_covariance)[:n] * equations.common_deviation**2)
 
 
 def determined(equations: Equations, factor: Factor, covariance: FloatArray) -> BoolArray:

@@ -6,7 +6,7 @@
 //! (Erisman and Tinney, Communications of the ACM 18, 1975). Matrices are stored as bands, row by
 //! row: bands fit into the processor's caches, full matrices do not.
 
-use crate::products::{BASELINE_IS_FUSED, multiply_add};
+use crate::products::multiply_add;
 
 /// Number of rows whose products are added in one pass.
 const ROWS_PER_PASS: usize = 4;
@@ -59,23 +59,8 @@ pub struct Elimination {
 /// Eliminates the unknowns of `z` from `y`, (rows, sides).
 ///
 /// Returns `None` if an entry is not finite.
-pub fn eliminate(z: Windows<'_>, y: &[f64], sides: usize) -> Option<Elimination> {
-    #[cfg(target_arch = "x86_64")]
-    if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
-        // SAFETY: both features have just been detected.
-        return unsafe { eliminate_avx2(z, y, sides) };
-    }
-    eliminate_with::<BASELINE_IS_FUSED>(z, y, sides)
-}
-
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2,fma")]
-fn eliminate_avx2(z: Windows<'_>, y: &[f64], sides: usize) -> Option<Elimination> {
-    eliminate_with::<true>(z, y, sides)
-}
-
 #[inline(always)]
-fn eliminate_with<const FUSED: bool>(
+pub(crate) fn eliminate<const FUSED: bool>(
     z: Windows<'_>,
     y: &[f64],
     sides: usize,
@@ -185,9 +170,17 @@ fn reach(first: &[usize]) -> usize {
     distances.max().unwrap_or(0)
 }
 
-/// Leave-one-block-out products: for each block of successive rows, Y'Y (sides, sides) minus the
-/// part that the unknowns explain, computed without the rows of the block. `stops` are the ends of
-/// the blocks (excluded).
+/// Products of right-hand sides minus the part that the unknowns explain, each (sides, sides).
+pub(crate) struct ResidualProducts {
+    /// Y'Y - Y'Z G^-1 Z'Y of all rows.
+    pub total: Vec<f64>,
+    /// The same without the rows of each block.
+    pub without: Vec<Vec<f64>>,
+    /// Solution G^-1 Z' Y of all rows, (unknowns, sides).
+    pub solution: Vec<f64>,
+}
+
+/// Leave-one-block-out products for blocks of successive rows, whose ends (excluded) are `stops`.
 ///
 /// The unknowns of a block reach from the first of its rows to the last. Unknowns before the block
 /// are eliminated once from the beginning, unknowns after it once from the end; only the unknowns
@@ -195,38 +188,13 @@ fn reach(first: &[usize]) -> usize {
 /// eliminations of all rows.
 ///
 /// Returns `None` if an entry is not finite.
-pub fn residual_products_without_blocks(
-    z: Windows<'_>,
-    y: &[f64],
-    sides: usize,
-    stops: &[usize],
-) -> Option<Vec<Vec<f64>>> {
-    #[cfg(target_arch = "x86_64")]
-    if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
-        // SAFETY: both features have just been detected.
-        return unsafe { residual_products_without_blocks_avx2(z, y, sides, stops) };
-    }
-    residual_products_with::<BASELINE_IS_FUSED>(z, y, sides, stops)
-}
-
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2,fma")]
-fn residual_products_without_blocks_avx2(
-    z: Windows<'_>,
-    y: &[f64],
-    sides: usize,
-    stops: &[usize],
-) -> Option<Vec<Vec<f64>>> {
-    residual_products_with::<true>(z, y, sides, stops)
-}
-
 #[inline(always)]
-fn residual_products_with<const FUSED: bool>(
+pub(crate) fn residual_products_without_blocks<const FUSED: bool>(
     z: Windows<'_>,
     y: &[f64],
     sides: usize,
     stops: &[usize],
-) -> Option<Vec<Vec<f64>>> {
+) -> Option<ResidualProducts> {
     let rows = z.rows();
     let reversed_entries: Vec<f64> = z.entries.iter().rev().copied().collect();
     let reversed: Vec<Row<'_>> = rows
@@ -247,19 +215,46 @@ fn residual_products_with<const FUSED: bool>(
     let y_reversed: Vec<f64> = y.chunks_exact(sides).rev().flatten().copied().collect();
     let before = OneSidedElimination::of::<FUSED>(&rows, y, z.unknowns, sides)?;
     let after = OneSidedElimination::of::<FUSED>(&reversed, &y_reversed, z.unknowns, sides)?;
-    let mut products = Vec::with_capacity(stops.len());
+    // Y'Y of each block, and of the rows after the last one
+    let mut own = Vec::with_capacity(stops.len() + 1);
     let mut start = 0;
-    for &stop in stops {
+    for &stop in stops.iter().chain([&rows.len()]) {
+        let mut sums = vec![0.0; sides * sides];
+        for y in y[start * sides..stop * sides].chunks_exact(sides) {
+            add_square::<FUSED>(&mut sums, y, 1.0);
+        }
+        own.push(sums);
+        start = stop;
+    }
+    let mut without = Vec::with_capacity(stops.len());
+    start = 0;
+    for (k, &stop) in stops.iter().enumerate() {
         let remaining = RemainingRows {
             rows: &rows,
             y,
             sides,
             block: (start, stop),
         };
-        products.push(remaining.residual_products::<FUSED>(&before, &after)?);
+        let others = own.iter().enumerate().filter(|(other, _)| *other != k);
+        let mut sums = vec![0.0; sides * sides];
+        others.for_each(|(_, each)| add_scaled::<false>(&mut sums, 1.0, each));
+        remaining.subtract_explained::<FUSED>(&before, &after, &mut sums)?;
+        without.push(sums);
         start = stop;
     }
-    Some(products)
+    let mut total = vec![0.0; sides * sides];
+    own.iter()
+        .for_each(|each| add_scaled::<false>(&mut total, 1.0, each));
+    for solved in before.solved.chunks_exact(sides) {
+        add_square::<FUSED>(&mut total, solved, -1.0);
+    }
+    let mut solution = before.solved;
+    substitute_backward::<FUSED>(&before.factor, &before.first, &mut solution, sides);
+    Some(ResidualProducts {
+        total,
+        without,
+        solution,
+    })
 }
 
 /// Elimination of all rows from one end: the factor, and L^-1 Z'Y.
@@ -294,25 +289,25 @@ struct RemainingRows<'a> {
 }
 
 impl RemainingRows<'_> {
+    /// Subtracts what the unknowns explain of the remaining rows from their products.
     #[inline(always)]
-    fn residual_products<const FUSED: bool>(
+    fn subtract_explained<const FUSED: bool>(
         &self,
         before: &OneSidedElimination,
         after: &OneSidedElimination,
-    ) -> Option<Vec<f64>> {
+        sums: &mut [f64],
+    ) -> Option<()> {
         let (n, sides) = (before.first.len(), self.sides);
         let (from, to) = self.between(&before.first);
         let count = to - from;
         // equations of the remaining rows for the block's unknowns
         let mut rows: Vec<Row<'_>> = Vec::new();
         let mut right = vec![0.0; count * sides];
-        let mut sums = vec![0.0; sides * sides];
         let (start, stop) = self.block;
         for (k, y) in self.y.chunks_exact(sides).enumerate() {
             if (start..stop).contains(&k) {
                 continue;
             }
-            add_square::<FUSED>(&mut sums, y, 1.0);
             let (begin, row) = self.rows[k];
             let (low, high) = (begin.max(from), (begin + row.len()).min(to));
             if low < high {
@@ -325,7 +320,7 @@ impl RemainingRows<'_> {
         }
         for (side, count) in [(before, from), (after, n - to)] {
             for solved in side.solved[..count * sides].chunks_exact(sides) {
-                add_square::<FUSED>(&mut sums, solved, -1.0);
+                add_square::<FUSED>(sums, solved, -1.0);
             }
         }
         let first: Vec<usize> = (from..to)
@@ -375,9 +370,9 @@ impl RemainingRows<'_> {
         decompose::<FUSED>(&mut middle, &first)?;
         substitute_forward::<FUSED>(&middle, &first, &mut right, sides);
         for solved in right.chunks_exact(sides) {
-            add_square::<FUSED>(&mut sums, solved, -1.0);
+            add_square::<FUSED>(sums, solved, -1.0);
         }
-        Some(sums)
+        Some(())
     }
 
     /// Range of the unknowns of the block; all unknowns if other rows span the whole block.
@@ -545,9 +540,19 @@ fn substitute_forward<const FUSED: bool>(
 /// G^-1 times several right-hand sides, in place.
 #[inline(always)]
 fn substitute<const FUSED: bool>(factor: &Band, first: &[usize], right: &mut [f64], sides: usize) {
-    let n = first.len();
     substitute_forward::<FUSED>(factor, first, right, sides);
-    for i in (0..n).rev() {
+    substitute_backward::<FUSED>(factor, first, right, sides);
+}
+
+/// L'^-1 times several right-hand sides, in place.
+#[inline(always)]
+fn substitute_backward<const FUSED: bool>(
+    factor: &Band,
+    first: &[usize],
+    right: &mut [f64],
+    sides: usize,
+) {
+    for i in (0..first.len()).rev() {
         let (above, row) = right.split_at_mut(i * sides);
         row[..sides].iter_mut().for_each(|v| *v /= factor.at(i, i));
         for j in first[i]..i {

@@ -3,13 +3,16 @@
 //! [`products`] adds products of tall matrices, tile by tile in registers. [`triangular`] computes
 //! the triangular factor of a tall matrix, [`cholesky`] that of a symmetric one, and [`singular`] the
 //! singular values of a square one. [`elimination`] eliminates local unknowns from least-squares
-//! problems; [`reduction`] does so for weighted equations and factorises the rest.
+//! problems; [`reduction`] does so for weighted equations and factorises the rest, [`solution`] solves
+//! them, and [`blocks`] leaves out block by block of their rows.
 //! [`symmetric_filter`] filters at selected samples. Matrices are row-major slices; samples are rows.
 
+pub mod blocks;
 pub mod cholesky;
 pub mod elimination;
 pub mod products;
 pub mod reduction;
 pub mod singular;
+pub mod solution;
 pub mod symmetric_filter;
 pub mod triangular;

@@ -43,7 +43,7 @@ class Submodels:
         The k columns of the parameters are orthonormal if the trial has no terms.
         """
         equations, factor = self.equations, self.trial.factor
-        rows = ls.rows_of(equations, factor.root, equations.target[:, None])
+        rows = ls.rows_of(equations, factor.root)
         table = np.vstack([rows.own, -rows.below])
         m, stop = equations.common.shape[1], equations.common.shape[1] + len(rows.scale)
         shared = table[:, m:stop] * rows.scale @ self._back

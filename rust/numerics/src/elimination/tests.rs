@@ -65,7 +65,7 @@ impl Example {
 #[test]
 fn solves_the_normal_equations() {
     let example = Example::new();
-    let elimination = eliminate(example.windows(), &example.y, SIDES).unwrap();
+    let elimination = eliminate::<false>(example.windows(), &example.y, SIDES).unwrap();
     for j in 0..SIDES {
         let column = |m: &[f64]| -> Vec<f64> { m.iter().skip(j).step_by(SIDES).copied().collect() };
         let (x, residuals) = (
@@ -89,7 +89,7 @@ fn leverage_is_projection_diagonal() {
     for row in [0, 7, 20, rows - 1] {
         let mut unit = vec![0.0; rows];
         unit[row] = 1.0;
-        let elimination = eliminate(example.windows(), &unit, 1).unwrap();
+        let elimination = eliminate::<false>(example.windows(), &unit, 1).unwrap();
         assert!((elimination.residuals[row] - (1.0 - elimination.leverage[row])).abs() < 1e-12);
     }
 }
@@ -102,11 +102,18 @@ fn block_prediction_agrees_with_fit_without_block() {
     // long and short blocks, one of a single row without unknowns, one without rows
     let stops = [7, 8, 8, 10, 11, 25, rows];
     let actual =
-        residual_products_without_blocks(example.windows(), &example.y, SIDES, &stops).unwrap();
+        residual_products_without_blocks::<false>(example.windows(), &example.y, SIDES, &stops)
+            .unwrap();
+    let all = eliminate::<false>(example.windows(), &example.y, SIDES).unwrap();
+    for (actual, expected) in actual.solution.iter().zip(all.solution) {
+        assert!((actual - expected).abs() < 1e-12);
+    }
     let starts = std::iter::once(0).chain(stops);
-    for (start, (stop, actual)) in starts.zip(stops.iter().zip(actual)) {
-        let others = example.without(start, *stop);
-        let residuals = eliminate(others.windows(), &others.y, SIDES)
+    let mut cases: Vec<_> = starts.zip(stops).zip(&actual.without).collect();
+    cases.push(((0, 0), &actual.total));
+    for ((start, stop), actual) in cases {
+        let others = example.without(start, stop);
+        let residuals = eliminate::<false>(others.windows(), &others.y, SIDES)
             .unwrap()
             .residuals;
         for (place, actual) in actual.iter().enumerate() {
@@ -125,7 +132,10 @@ fn block_prediction_agrees_with_fit_without_block() {
 fn plain_and_fused_agree() {
     let example = Example::new();
     let (z, y) = (example.windows(), &example.y);
-    let (plain, best) = (eliminate_with::<false>(z, y, SIDES), eliminate(z, y, SIDES));
+    let (plain, best) = (
+        eliminate::<false>(z, y, SIDES),
+        eliminate::<true>(z, y, SIDES),
+    );
     for (a, b) in plain.unwrap().residuals.iter().zip(best.unwrap().residuals) {
         assert!((a - b).abs() < 1e-10);
     }
@@ -139,7 +149,7 @@ fn rejects_non_finite_entries() {
         width: 2,
         unknowns: 2,
     };
-    assert_eq!(eliminate(z, &[1.0], 1), None);
+    assert_eq!(eliminate::<false>(z, &[1.0], 1), None);
 }
 
 #[test]
