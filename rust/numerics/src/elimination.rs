@@ -616,18 +616,21 @@ fn add_four<const FUSED: bool>(
     weights: [f64; ROWS_PER_PASS],
     sources: [&[f64]; ROWS_PER_PASS],
 ) {
-    let [a, b, c, d] = sources;
-    let pairs = a.iter().zip(b).zip(c.iter().zip(d));
-    for (t, ((a, b), (c, d))) in target.iter_mut().zip(pairs) {
-        let two = multiply_add::<FUSED>(weights[1], *b, multiply_add::<FUSED>(weights[0], *a, *t));
-        *t = multiply_add::<FUSED>(weights[3], *d, multiply_add::<FUSED>(weights[2], *c, two));
+    let [a, b, c, d] = sources.map(|source| &source[..target.len()]);
+    for i in 0..target.len() {
+        let one = multiply_add::<FUSED>(weights[0], a[i], target[i]);
+        let two = multiply_add::<FUSED>(weights[1], b[i], one);
+        let three = multiply_add::<FUSED>(weights[2], c[i], two);
+        target[i] = multiply_add::<FUSED>(weights[3], d[i], three);
     }
 }
 
 #[inline(always)]
 fn add_scaled<const FUSED: bool>(target: &mut [f64], weight: f64, source: &[f64]) {
-    for (t, s) in target.iter_mut().zip(source) {
-        *t = multiply_add::<FUSED>(weight, *s, *t);
+    // indices instead of `zip`, whose call is not always compiled inline
+    let source = &source[..target.len()];
+    for i in 0..target.len() {
+        target[i] = multiply_add::<FUSED>(weight, source[i], target[i]);
     }
 }
 
@@ -635,30 +638,29 @@ fn add_scaled<const FUSED: bool>(target: &mut [f64], weight: f64, source: &[f64]
 fn dot<const FUSED: bool>(left: &[f64], right: &[f64]) -> f64 {
     const LANES: usize = 4;
     const UNROLLED_LENGTH: usize = 4 * LANES; // enough independent sums to hide the latency of an addition
-    let (l, r) = (
-        left.chunks_exact(UNROLLED_LENGTH),
-        right.chunks_exact(UNROLLED_LENGTH),
-    );
-    let ends = (l.remainder(), r.remainder());
-    let mut sums = [[0.0; LANES]; 4];
-    for (l, r) in l.zip(r) {
-        for (part, sums) in sums.iter_mut().enumerate() {
-            for lane in 0..LANES {
-                let i = part * LANES + lane;
-                sums[lane] = multiply_add::<FUSED>(l[i], r[i], sums[lane]);
-            }
+    let right = &right[..left.len()];
+    let mut sums = [0.0; UNROLLED_LENGTH];
+    let mut at = 0;
+    while at + UNROLLED_LENGTH <= left.len() {
+        let (l, r) = (&left[at..][..UNROLLED_LENGTH], &right[at..][..UNROLLED_LENGTH]);
+        for lane in 0..UNROLLED_LENGTH {
+            sums[lane] = multiply_add::<FUSED>(l[lane], r[lane], sums[lane]);
         }
+        at += UNROLLED_LENGTH;
     }
     let mut sum: [f64; LANES] =
-        std::array::from_fn(|i| (sums[0][i] + sums[1][i]) + (sums[2][i] + sums[3][i]));
-    let (l, r) = (ends.0.chunks_exact(LANES), ends.1.chunks_exact(LANES));
-    let ends = l.remainder().iter().zip(r.remainder());
-    for (l, r) in l.zip(r) {
+        std::array::from_fn(|i| (sums[i] + sums[4 + i]) + (sums[8 + i] + sums[12 + i]));
+    while at + LANES <= left.len() {
+        let (l, r) = (&left[at..][..LANES], &right[at..][..LANES]);
         for lane in 0..LANES {
             sum[lane] = multiply_add::<FUSED>(l[lane], r[lane], sum[lane]);
         }
+        at += LANES;
     }
-    let rest: f64 = ends.map(|(a, b)| a * b).sum();
+    let mut rest = 0.0;
+    for i in at..left.len() {
+        rest += left[i] * right[i];
+    }
     (sum[0] + sum[1]) + (sum[2] + sum[3]) + rest
 }
 
