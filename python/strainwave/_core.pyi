@@ -318,8 +318,9 @@ def symmetric_filter(
 ) -> NDArray[np.float64]:
     """Samples (count, n_columns) of a signal (n_samples, n_columns) after a symmetric filter.
 
-    `response` (n,) is the impulse response at the impulse and at later samples. The GIL is
-    released. Raises ValueError for a signal that ends within the response of a sample.
+    `response` (n,) is the impulse response at the impulse and at later samples. The signal is
+    extended at both ends by point reflection. The GIL is released. Raises ValueError for samples
+    beyond the signal and for a longer response.
     """
 
 def triangular_factor(table: NDArray[np.float64]) -> NDArray[np.float64]:

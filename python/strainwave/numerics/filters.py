@@ -29,7 +29,7 @@ _SETTLING_PERIODS = 14.0
 _RESPONSE_PERIODS = 11.0
 _SUMS_PER_VECTOR = 16  # sums over impulse responses that take the time of one
 # Products of such vectors per number of a signal up to which they take less time than a transform.
-_MAX_VECTORS = 15
+_MAX_VECTORS = 30
 # samples per transform; longer transforms do not fit the processor cache
 _MAX_TRANSFORM_SAMPLES = 1 << 17
 
@@ -68,10 +68,10 @@ def low_pass(
     n_runs = len(indices) * signal[0].size // max(run, 1)
     n_vectors = n_runs * -(-run // _SUMS_PER_VECTOR)
     if 0 < reach < n and 0 < n_vectors * reach < _MAX_VECTORS * signal.size:
-        extended = _point_reflected(signal, reach).reshape(n + 2 * reach, -1)
         response = _half_response(reach, relative, decimated)
-        place = indices.start + reach, indices.step, len(indices)
-        sums = _core.symmetric_filter(np.ascontiguousarray(extended), response, *place)
+        place = indices.start, indices.step, len(indices)
+        flat = np.ascontiguousarray(signal).reshape(n, -1)
+        sums = _core.symmetric_filter(flat, response, *place)
         return sums.reshape(-1, *signal.shape[1:])
     margin = int(_SETTLING_PERIODS / (relative * decimated))
     piece = max(_MAX_TRANSFORM_SAMPLES, 8 * margin)

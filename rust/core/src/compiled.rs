@@ -453,10 +453,14 @@ impl<A: Arm<N>, const N: usize> CompiledArm for Compiled<A, N> {
     fn inertia_matrix(&self, base: &[f64], angle: &[f64]) -> Vec<f64> {
         let (arm, n) = (&self.config.arm, self.joints());
         let base = arm.base(base);
-        let at = |q: &[f64; N]| arm.inertia(&base, &arm.posture(q)).into_iter().take(n);
-        let postures = rows(angle, n);
-        let entries = postures.iter().flat_map(at);
-        entries.flat_map(|row| row.into_iter().take(n)).collect()
+        let mut all = vec![0.0; angle.len() * n];
+        for (matrix, q) in all.chunks_mut(n * n).zip(rows::<N>(angle, n)) {
+            let inertia = arm.inertia(&base, &arm.posture(&q));
+            for (row, entries) in matrix.chunks_mut(n).zip(inertia) {
+                row.copy_from_slice(&entries[..n]);
+            }
+        }
+        all
     }
 
     fn bias_torques(&self, parameters: &[f64], angle: &[f64], velocity: &[f64]) -> Vec<f64> {

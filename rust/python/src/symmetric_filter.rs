@@ -27,10 +27,11 @@ fn symmetric_filter<'py>(
 ) -> PyResult<Bound<'py, PyArray2<f64>>> {
     let (length, columns) = (signal.shape()[0], signal.shape()[1]);
     let samples = Samples { first, step, count };
-    if columns == 0 || response.len() == 0 || !samples.fit(length, response.len() - 1) {
+    let is_short = response.len() == 0 || response.len() > length;
+    if columns == 0 || step == 0 || is_short || !samples.fit(length) {
         return Err(PyValueError::new_err(format!(
-            "expected a signal that reaches {} samples beyond {samples:?}, got {length} samples",
-            response.len().saturating_sub(1)
+            "expected a response of at most {length} samples and {samples:?} within as many, got a response of {}",
+            response.len()
         )));
     }
     let signal = signal.as_slice().map_err(|_| not_contiguous("signal"))?;

@@ -200,8 +200,6 @@ def prepare(arm: Arm, signals: Signals, bandwidth_hz: float, period: float) -> F
     links = tuple(link_motion(arm, motion, torsion))
     unfiltered = np.stack([torque, velocity, direction, np.ones_like(torque)], axis=2)
     joint, row = np.nonzero(keep)
-    # filter both sides at the same samples, so that edge effects are equal
-    filtered = low_pass(unfiltered, bandwidth_hz, T, decimated=step)[rows // step]
     stretch = FilteredRecord(
         signals=signals,
         bandwidth_hz=bandwidth_hz,
@@ -214,8 +212,8 @@ def prepare(arm: Arm, signals: Signals, bandwidth_hz: float, period: float) -> F
         rows=rows,
         joint=joint,
         row=row,
-        torque=filtered[:, :, 0],
-        friction=filtered[:, :, 1:],
+        torque=np.zeros(0),
+        friction=np.zeros(0),
         stiction_shapes=tuple(stiction_shapes),
         free=tuple(free),
         noise=_column_noise(arm, signals, bandwidth_hz),
@@ -223,6 +221,9 @@ def prepare(arm: Arm, signals: Signals, bandwidth_hz: float, period: float) -> F
         sliding_time=period * T * float(np.mean(signals.direction != 0.0)),
         slides=np.array([[x.max() > 0.0, x.min() < 0.0] for x in signals.direction.T]).T,
     )
+    # one filter for both sides at the same samples, so that edge effects are equal
+    filtered = stretch.filtered(unfiltered)
+    stretch = replace(stretch, torque=filtered[:, :, 0], friction=filtered[:, :, 1:])
     if elastic:
         return stretch
     body = body_regressor(arm, links, torsion)
