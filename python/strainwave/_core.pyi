@@ -28,6 +28,7 @@ __all__ = [
     "symmetric_filter",
     "triangular_factor",
     "weighted_factor",
+    "window_products",
 ]
 
 DIVERGENCE_RATIO: float
@@ -202,6 +203,19 @@ class Arm:
         acceleration: NDArray[np.float64],
     ) -> NDArray[np.float64]:
         """Link-side torques per inertial parameter: (n_samples, n_joints, n_base)."""
+    def motor_regressor(
+        self,
+        angle: NDArray[np.float64],
+        velocity: NDArray[np.float64],
+        acceleration: NDArray[np.float64],
+        combinations: NDArray[np.float64],
+        transmission: NDArray[np.float64],
+    ) -> NDArray[np.float64]:
+        """Motor torques per combination of inertial parameters: (n_samples, n_joints, n).
+
+        `combinations` (n_base, n); `transmission` (n_joints, n_joints) has link angles per motor
+        angle. Raises ValueError for other shapes.
+        """
     def link_torques(
         self,
         base: NDArray[np.float64],
@@ -543,3 +557,11 @@ class LoadStream:
         The n unknowns are the friction of all joints and the ten parameters of the load; the
         products are those of the equations with the columns of links, motors and shared friction.
         """
+
+def window_products(
+    first: NDArray[np.int64], entries: NDArray[np.float64], unknowns: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Product (n_rows,) of a `Banded` matrix with a vector.
+
+    Raises ValueError for windows that reach beyond the vector.
+    """

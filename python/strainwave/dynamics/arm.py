@@ -268,16 +268,11 @@ class Arm(ArmDescription):
         """Motor torques per base parameter, (5), (S2), (S3): (n_samples, n_joints, n_body)."""
         parameters = self.base.particular()
         n_links = len(self.base.links)
-        regressor = self.base_regressor(angle, velocity, acceleration)
-        # one product of matrices, which is faster than one per sample
-        of_links = regressor.reshape(-1, n_links) @ parameters[:n_links]
-        torques = of_links.reshape(len(regressor), self.n_joints, -1)
-        if self.coupling is None:
-            torques *= self.gear_ratios[:, None]
-        else:
-            torques = np.swapaxes(self.motors_of(np.swapaxes(torques, 1, 2)), 1, 2)
+        motion = _contiguous(angle, velocity, acceleration)
+        links = np.ascontiguousarray(parameters[:n_links])
+        torques = self.core.motor_regressor(*motion, links, self.transmission)
         self.add_rotor_torques(torques, acceleration, parameters[n_links:])
-        return np.asarray(torques)
+        return torques
 
     def add_rotor_torques(
         self, torques: FloatArray, links: FloatArray, inertias: FloatArray
@@ -288,7 +283,7 @@ class Arm(ArmDescription):
         behind rigid gears, and `inertias` (n_joints, n_body) those of the motors. Most are zero.
         """
         accelerations = self.motor_accelerations(links)
-        for i, k in np.argwhere(inertias).tolist():
+        for i, k in zip(*np.nonzero(inertias), strict=True):
             torques[:, i, k] += accelerations[:, i] * inertias[i, k]
 
     def motor_accelerations(self, links: FloatArray) -> FloatArray:

@@ -82,23 +82,11 @@ class Banded:
 
     def __matmul__(self, values: FloatArray) -> FloatArray:
         """Product (n_rows,) with a vector (n_columns,)."""
-        return np.asarray(np.einsum("ij,ij->i", self.entries, self._of_entries(values)))
+        return _core.window_products(self.first, self.entries, np.ascontiguousarray(values))
 
     def rows(self, chosen: IntArray | BoolArray) -> Banded:
         """Matrix of selected rows."""
         return Banded(self.first[chosen], self.entries[chosen], self.n_columns)
-
-    def scaled(self, rows: FloatArray, columns: FloatArray) -> Banded:
-        """Matrix with rows and columns multiplied by the given factors."""
-        entries = self.entries * rows[:, None]
-        entries *= self._of_entries(columns)
-        return Banded(self.first, entries, self.n_columns)
-
-    def _of_entries(self, values: FloatArray) -> FloatArray:
-        """Values of the columns (n_columns,) at each entry, (n_rows, width); zero beyond them."""
-        width = self.entries.shape[1]
-        padded = np.concatenate([values, np.zeros(width)])
-        return np.asarray(padded[self.first[:, None] + np.arange(width)])
 
     def dense(self) -> FloatArray:
         """Dense matrix (n_rows, n_columns)."""

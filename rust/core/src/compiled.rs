@@ -172,6 +172,17 @@ pub trait CompiledArm: Send + Sync {
     fn kinematics(&self) -> &Kinematics;
     /// Link-side torques [N m] per base parameter: samples times joints times base parameters.
     fn base_regressor(&self, motion: &LinkMotion<'_>) -> Vec<f64>;
+    /// Motor torques [N m] behind rigid gears per combination of base parameters: samples times
+    /// motors times combinations.
+    ///
+    /// `combinations` are base parameters times combinations, and `transmission` link angles per
+    /// motor angle, joints times motors.
+    fn motor_regressor(
+        &self,
+        motion: &LinkMotion<'_>,
+        combinations: &[f64],
+        transmission: &[f64],
+    ) -> Vec<f64>;
     /// Link-side torques [N m] for base parameters, physical or not: samples times joints.
     fn link_torques(&self, base: &[f64], motion: &LinkMotion<'_>) -> Vec<f64>;
     /// Motor torques [N m] of a motion with rigid gears, (5): samples times joints.
@@ -428,6 +439,39 @@ impl<A: Arm<N>, const N: usize> CompiledArm for Compiled<A, N> {
                 for i in 0..n {
                     row[i * bases + b] = torque[i];
                 }
+            }
+        }
+        all
+    }
+
+    fn motor_regressor(
+        &self,
+        motion: &LinkMotion<'_>,
+        combinations: &[f64],
+        transmission: &[f64],
+    ) -> Vec<f64> {
+        let n = self.joints();
+        let count = combinations.len() / self.base_parameters();
+        // most entries are zero: base parameter, joint, place in a sample's regressor, factor
+        let mut terms = Vec::new();
+        for (b, combination) in combinations.chunks(count.max(1)).enumerate() {
+            for (place, ratio) in transmission.iter().enumerate() {
+                for (column, weight) in combination.iter().enumerate() {
+                    let factor = ratio * weight;
+                    if factor != 0.0 {
+                        terms.push((b, place / n, place % n * count + column, factor));
+                    }
+                }
+            }
+        }
+        let [q, dq, ddq] = motion.rows::<N>(n);
+        let mut all = vec![0.0; q.len() * n * count];
+        for (k, row) in all.chunks_mut((n * count).max(1)).enumerate() {
+            let at = self.config.arm.posture(&q[k]);
+            let columns = self.config.arm.regressor(&at, &dq[k], &ddq[k]);
+            let torques = columns.as_ref();
+            for &(b, joint, place, factor) in &terms {
+                row[place] += factor * torques[b][joint];
             }
         }
         all

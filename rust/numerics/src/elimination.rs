@@ -31,6 +31,15 @@ impl<'a> Windows<'a> {
         self.first.iter().zip(windows).map(trim_zeros).collect()
     }
 
+    /// Product of each row with the unknowns.
+    pub fn products(self, unknowns: &[f64]) -> Vec<f64> {
+        let product = |(start, row): &Row<'_>| -> f64 {
+            let terms = row.iter().zip(&unknowns[*start..]);
+            terms.map(|(entry, unknown)| entry * unknown).sum()
+        };
+        self.rows().iter().map(product).collect()
+    }
+
     /// Whether all sizes agree and no nonzero entry is after the last unknown.
     pub fn fit(self) -> bool {
         self.width > 0
@@ -245,9 +254,7 @@ pub(crate) fn residual_products_without_blocks<const FUSED: bool>(
     let mut total = vec![0.0; sides * sides];
     own.iter()
         .for_each(|each| add_scaled::<false>(&mut total, 1.0, each));
-    for solved in before.solved.chunks_exact(sides) {
-        add_square::<FUSED>(&mut total, solved, -1.0);
-    }
+    add_scaled::<FUSED>(&mut total, -1.0, before.squares(z.unknowns));
     let mut solution = before.solved;
     substitute_backward::<FUSED>(&before.factor, &before.first, &mut solution, sides);
     Some(ResidualProducts {
@@ -257,11 +264,14 @@ pub(crate) fn residual_products_without_blocks<const FUSED: bool>(
     })
 }
 
-/// Elimination of all rows from one end: the factor, and L^-1 Z'Y.
+/// Elimination of all rows from one end.
 struct OneSidedElimination {
     first: Vec<usize>,
     factor: Band,
+    /// L^-1 Z'Y, (unknowns, sides).
     solved: Vec<f64>,
+    /// Products of its rows, summed over the first 0, 1, ... of them: (unknowns + 1, sides, sides).
+    squares: Vec<f64>,
 }
 
 impl OneSidedElimination {
@@ -271,11 +281,25 @@ impl OneSidedElimination {
         let factor = factorise::<FUSED>(rows, &first)?;
         let mut solved = moments::<FUSED>(rows, y, n, sides);
         substitute_forward::<FUSED>(&factor, &first, &mut solved, sides);
+        let mut squares = vec![0.0; (n + 1) * sides * sides];
+        for (k, row) in solved.chunks_exact(sides).enumerate() {
+            let (done, next) = squares.split_at_mut((k + 1) * sides * sides);
+            next[..sides * sides].copy_from_slice(&done[k * sides * sides..]);
+            add_square::<FUSED>(&mut next[..sides * sides], row, 1.0);
+        }
         Some(Self {
             first,
             factor,
             solved,
+            squares,
         })
+    }
+
+    /// Products of the rows of L^-1 Z'Y of the first `count` unknowns.
+    #[inline(always)]
+    fn squares(&self, count: usize) -> &[f64] {
+        let size = self.squares.len() / (self.first.len() + 1);
+        &self.squares[count * size..][..size]
     }
 }
 
@@ -318,11 +342,8 @@ impl RemainingRows<'_> {
                 }
             }
         }
-        for (side, count) in [(before, from), (after, n - to)] {
-            for solved in side.solved[..count * sides].chunks_exact(sides) {
-                add_square::<FUSED>(sums, solved, -1.0);
-            }
-        }
+        add_scaled::<FUSED>(sums, -1.0, before.squares(from));
+        add_scaled::<FUSED>(sums, -1.0, after.squares(n - to));
         let first: Vec<usize> = (from..to)
             .map(|i| before.first[i].max(from) - from)
             .collect();

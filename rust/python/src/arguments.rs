@@ -128,14 +128,16 @@ pub fn rows(
     min_rows: usize,
     columns: usize,
 ) -> PyResult<Vec<f64>> {
-    let matrix = matrix.as_array();
-    let (got, got_columns) = matrix.dim();
+    let (got, got_columns) = matrix.as_array().dim();
     if got_columns != columns || got < min_rows {
         return Err(PyValueError::new_err(format!(
             "{name}: expected at least {min_rows} x {columns} values, got {got} x {got_columns}"
         )));
     }
-    Ok(matrix.iter().copied().collect())
+    Ok(match matrix.as_slice() {
+        Ok(slice) => slice.to_vec(),
+        Err(_) => matrix.as_array().iter().copied().collect(),
+    })
 }
 
 /// Rows of angles, velocities and accelerations of a motion. Raises ValueError unless all have the

@@ -304,6 +304,36 @@ impl Arm {
         PyArray1::from_vec(py, regressor).reshape(shape)
     }
 
+    fn motor_regressor<'py>(
+        &self,
+        py: Python<'py>,
+        angle: Matrix<'py>,
+        velocity: Matrix<'py>,
+        acceleration: Matrix<'py>,
+        combinations: Matrix<'py>,
+        transmission: Matrix<'py>,
+    ) -> PyResult<Bound<'py, PyArray3<f64>>> {
+        let (n, bases) = (self.n_joints(), self.0.base_parameters());
+        let shape = [
+            angle.as_array().nrows(),
+            n,
+            combinations.as_array().ncols(),
+        ];
+        let (height, square) = (combinations.as_array().nrows(), transmission.as_array().dim());
+        if height != bases || square != (n, n) {
+            return Err(PyValueError::new_err(format!(
+                "expected combinations of {bases} base parameters and a transmission of {n} joints, got {height} and {square:?}"
+            )));
+        }
+        let combinations = rows(&combinations, "combinations", 0, shape[2])?;
+        let transmission = rows(&transmission, "transmission", 0, n)?;
+        let work = |motion: &LinkMotion<'_>| {
+            self.0.motor_regressor(motion, &combinations, &transmission)
+        };
+        let regressor = self.along(py, [&angle, &velocity, &acceleration], work)?;
+        PyArray1::from_vec(py, regressor).reshape(shape)
+    }
+
     fn link_torques<'py>(
         &self,
         py: Python<'py>,

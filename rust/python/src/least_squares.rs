@@ -18,6 +18,7 @@ pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(reduce, module)?)?;
     module.add_function(wrap_pyfunction!(solve, module)?)?;
     module.add_function(wrap_pyfunction!(huber_roots, module)?)?;
+    module.add_function(wrap_pyfunction!(window_products, module)?)?;
     module.add_function(wrap_pyfunction!(block_products, module)?)
 }
 
@@ -237,6 +238,22 @@ fn block_products<'py>(
             .reshape([count, all, all])?,
         table(py, products.priors, all)?,
     ))
+}
+
+/// Products of windows with the unknowns that they contain.
+#[pyfunction]
+fn window_products<'py>(
+    py: Python<'py>,
+    first: PyReadonlyArray1<'py, i64>,
+    entries: Matrix<'py>,
+    unknowns: Vector<'py>,
+) -> PyResult<Bound<'py, PyArray1<f64>>> {
+    let (first, count) = (indices(&first)?, unknowns.len());
+    let products = match entries.len() {
+        0 => vec![0.0; entries.shape()[0]],
+        _ => windows(&first, &entries, count)?.products(vector(&unknowns, "unknowns")?),
+    };
+    Ok(products.into_pyarray(py))
 }
 
 /// An array with rows of `width` numbers.

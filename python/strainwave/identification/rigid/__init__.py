@@ -25,7 +25,12 @@ from strainwave.domain import (
 )
 from strainwave.domain.arm.gear_laws import RIGID
 from strainwave.dynamics.arm import Arm
-from strainwave.dynamics.rigid_prediction import CORRECTIONS, LOAD_TERMS, band_fit
+from strainwave.dynamics.rigid_prediction import (
+    CORRECTIONS,
+    LOAD_TERMS,
+    band_fit,
+    body_regressor,
+)
 from strainwave.errors import NotIdentifiable
 from strainwave.identification.rigid.conclusion import Bounded, bound, warnings_of
 from strainwave.identification.rigid.drive_gains import estimate_drive_gains, gain_sensitivity
@@ -249,10 +254,15 @@ def _elastic_model_error(best: Trial) -> FloatArray:
     alternatives = [replace(usual, inertia=_ALTERNATIVE_INERTIA_SHARE)]
     if usual.viscous_friction < 1.0:
         alternatives.append(replace(usual, viscous_friction=_ALTERNATIVE_VISCOUS_SHARE))
-    arms = [(arm.behind_rigid_gears(), usual), *((arm, shares) for shares in alternatives)]
+    rigid_arm = arm.behind_rigid_gears()
+    bodies = (body_regressor(rigid_arm, s.links, s.torsion) for s in best.stretches)
+    rigid = tuple(
+        replace(s, body=s.filtered(x)) for s, x in zip(best.stretches, bodies, strict=True)
+    )
+    cases = [(rigid_arm, rigid, usual), *((arm, best.stretches, each) for each in alternatives)]
     rigid_solution, *others = (
-        solve(each, best.stretches, best.estimate, shares, weights=root).estimate.solution
-        for each, shares in arms
+        solve(each, stretches, best.estimate, shares, weights=root).estimate.solution
+        for each, stretches, shares in cases
     )
     next_order = (best.solution - rigid_solution) * ratio**2
     return np.asarray(next_order**2 + sum((best.solution - other) ** 2 for other in others))

@@ -413,18 +413,18 @@ def _body_equations(
     gears = _gear_torques(arm, stretch, linearised_at, record)
     c, angle = linearised_at.compliance, links[0]
     torsion = c * gears
-    links = list(np.subtract(links, torsion))
+    links = [q - twist for q, twist in zip(links, torsion, strict=True)]
     n, n_body = arm.n_joints, arm.n_body
     # one filter for all columns: the last is the velocity of the torsion
     columns = np.empty((len(angle), n, n_body + n + 1))
     columns[:, :, :n_body] = body_regressor(arm, links, [*torsion], linearised_at.shares.inertia)
     # motor torque per compliance, -N C^T M_j(q) ddT_j, for the symmetric M: by gear, then by motor
     base = _base(arm, linearised_at) + arm.payload_vector(stretch.signals.experiment.payload)
-    lags = arm.motors_of(arm.inertia_matrices(base, angle)) * gears[2][:, :, None]
+    torques = np.swapaxes(arm.motors_of(arm.inertia_matrices(base, angle)), 1, 2)
+    lags = np.multiply(torques, -gears[2][:, None], out=columns[:, :, n_body:-1])
     viscous = arm.transmission * _link_viscous_friction(arm, linearised_at)[:, None]
     if viscous.any():
-        lags += gears[1][:, :, None] * viscous
-    columns[:, :, n_body:-1] = -np.swapaxes(lags, 1, 2)
+        lags -= gears[1][:, None] * viscous.T
     columns[:, :, -1] = torsion[1]
     columns = stretch.filtered(columns)
     phi, lags, lag_velocity = columns[:, :, :n_body], columns[:, :, n_body:-1], columns[:, :, -1]
@@ -454,9 +454,10 @@ def _gear_torques(
     Shape (3, n_motion, n_joints), zero for rigid gears.
     """
     gear = _gear_torque(arm, stretch, linearised_at, linearised_at.stiction_torque[record])
+    gear *= arm.is_elastic
     interval = stretch.motion_step * stretch.signals.sample_time
     rate = differentiate(gear, interval)
-    return np.array([gear, rate, differentiate(rate, interval)]) * arm.is_elastic
+    return np.stack([gear, rate, differentiate(rate, interval)])
 
 
 def _motor_shares(arm: Arm, linearised_at: Estimate) -> FloatArray:
