@@ -520,21 +520,36 @@ fn envelope(rows: &[Row<'_>], n: usize) -> Vec<usize> {
 /// Lower Cholesky factor of G; `matrix` holds Z'Z.
 #[inline(always)]
 fn decompose<const FUSED: bool>(matrix: &mut Band, first: &[usize]) -> Option<()> {
-    for i in 0..first.len() {
-        for j in first[i]..i {
-            let from = first[i].max(first[j]);
-            let shared = dot::<FUSED>(matrix.row(i, from, j), matrix.row(j, from, j));
-            let entry = (matrix.at(i, j) - shared) / matrix.at(j, j);
-            matrix.set(i, j, entry);
+    let n = first.len();
+    for start in (0..n).step_by(ROWS_PER_PASS) {
+        let stop = (start + ROWS_PER_PASS).min(n);
+        // an entry needs those before it in its row: several rows at once hide the latency
+        for j in first[start]..start {
+            for i in (start..stop).take_while(|i| first[*i] <= j) {
+                eliminate_entry::<FUSED>(matrix, first, i, j);
+            }
         }
-        let entries = matrix.row(i, first[i], i);
-        let pivot = 1.0 + matrix.at(i, i) - dot::<FUSED>(entries, entries);
-        if !(pivot > 0.0 && pivot.is_finite()) {
-            return None;
+        for i in start..stop {
+            for j in first[i].max(start)..i {
+                eliminate_entry::<FUSED>(matrix, first, i, j);
+            }
+            let entries = matrix.row(i, first[i], i);
+            let pivot = 1.0 + matrix.at(i, i) - dot::<FUSED>(entries, entries);
+            if !(pivot > 0.0 && pivot.is_finite()) {
+                return None;
+            }
+            matrix.set(i, i, pivot.sqrt());
         }
-        matrix.set(i, i, pivot.sqrt());
     }
     Some(())
+}
+
+/// Computes an entry of the factor left of the diagonal.
+#[inline(always)]
+fn eliminate_entry<const FUSED: bool>(matrix: &mut Band, first: &[usize], i: usize, j: usize) {
+    let from = first[i].max(first[j]);
+    let shared = dot::<FUSED>(matrix.row(i, from, j), matrix.row(j, from, j));
+    matrix.set(i, j, (matrix.at(i, j) - shared) / matrix.at(j, j));
 }
 
 /// L^-1 times several right-hand sides, in place.
