@@ -326,6 +326,19 @@ fn rows<const N: usize>(list: &[f64], joints: usize) -> Vec<[f64; N]> {
     list.chunks_exact(joints).map(row).collect()
 }
 
+/// Numbers of the joints for each of `count` rows.
+fn each_row<const N: usize>(
+    count: usize,
+    joints: usize,
+    of: impl Fn(usize) -> [f64; N],
+) -> Vec<f64> {
+    let mut all = vec![0.0; count * joints];
+    for (k, row) in all.chunks_exact_mut(joints).enumerate() {
+        row.copy_from_slice(&of(k)[..joints]);
+    }
+    all
+}
+
 /// A recording without the entries beyond the arm's joints.
 fn recording<const N: usize>(record: &Record<N>, joints: usize) -> Recording {
     let flat = |rows: &Vec<[f64; N]>| {
@@ -481,17 +494,17 @@ impl<A: Arm<N>, const N: usize> CompiledArm for Compiled<A, N> {
         let (arm, n) = (&self.config.arm, self.joints());
         let base = arm.base(base);
         let [q, dq, ddq] = motion.rows::<N>(n);
-        let torques = |k: usize| arm.torques(&base, &arm.posture(&q[k]), &dq[k], &ddq[k]);
-        let of_joints = |k: usize| torques(k).into_iter().take(n);
-        (0..q.len()).flat_map(of_joints).collect()
+        each_row(q.len(), n, |k| {
+            arm.torques(&base, &arm.posture(&q[k]), &dq[k], &ddq[k])
+        })
     }
 
     fn inverse_dynamics(&self, parameters: &[f64], motion: &LinkMotion<'_>) -> Vec<f64> {
         let (plant, n) = (self.config.plant(parameters), self.joints());
         let [q, dq, ddq] = motion.rows::<N>(n);
-        let torques = |k: usize| rigid::inverse_dynamics(&plant, &q[k], &dq[k], &ddq[k]);
-        let of_joints = |k: usize| torques(k).into_iter().take(n);
-        (0..q.len()).flat_map(of_joints).collect()
+        each_row(q.len(), n, |k| {
+            rigid::inverse_dynamics(&plant, &q[k], &dq[k], &ddq[k])
+        })
     }
 
     fn inertia_matrix(&self, base: &[f64], angle: &[f64]) -> Vec<f64> {
@@ -510,10 +523,8 @@ impl<A: Arm<N>, const N: usize> CompiledArm for Compiled<A, N> {
     fn bias_torques(&self, parameters: &[f64], angle: &[f64], velocity: &[f64]) -> Vec<f64> {
         let (arm, n) = (&self.config.arm, self.joints());
         let base = arm.base(parameters);
-        let at = |(q, dq): (&[f64; N], &[f64; N])| arm.bias(&base, &arm.posture(q), dq);
-        let of_joints = |motion| at(motion).into_iter().take(n);
         let (q, dq) = (rows(angle, n), rows(velocity, n));
-        q.iter().zip(&dq).flat_map(of_joints).collect()
+        each_row(q.len(), n, |k| arm.bias(&base, &arm.posture(&q[k]), &dq[k]))
     }
 }
 

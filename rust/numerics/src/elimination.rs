@@ -678,7 +678,10 @@ fn dot<const FUSED: bool>(left: &[f64], right: &[f64]) -> f64 {
     let mut sums = [0.0; UNROLLED_LENGTH];
     let mut at = 0;
     while at + UNROLLED_LENGTH <= left.len() {
-        let (l, r) = (&left[at..][..UNROLLED_LENGTH], &right[at..][..UNROLLED_LENGTH]);
+        let (l, r) = (
+            &left[at..][..UNROLLED_LENGTH],
+            &right[at..][..UNROLLED_LENGTH],
+        );
         for lane in 0..UNROLLED_LENGTH {
             sums[lane] = multiply_add::<FUSED>(l[lane], r[lane], sums[lane]);
         }

@@ -192,7 +192,9 @@ impl<const SUMS: usize> Pass<SUMS> {
         let numbers = self.run * self.columns;
         for (v, sums) in results.chunks_exact(NUMBERS).take(VECTORS).enumerate() {
             let start = (k + v) * numbers + column;
-            let stop = (start + NUMBERS).min((k + v + 1) * numbers).min(target.len());
+            let stop = (start + NUMBERS)
+                .min((k + v + 1) * numbers)
+                .min(target.len());
             target[start..stop].copy_from_slice(&sums[..stop - start]);
         }
     }

@@ -314,12 +314,11 @@ impl Arm {
         transmission: Matrix<'py>,
     ) -> PyResult<Bound<'py, PyArray3<f64>>> {
         let (n, bases) = (self.n_joints(), self.0.base_parameters());
-        let shape = [
-            angle.as_array().nrows(),
-            n,
-            combinations.as_array().ncols(),
-        ];
-        let (height, square) = (combinations.as_array().nrows(), transmission.as_array().dim());
+        let shape = [angle.as_array().nrows(), n, combinations.as_array().ncols()];
+        let (height, square) = (
+            combinations.as_array().nrows(),
+            transmission.as_array().dim(),
+        );
         if height != bases || square != (n, n) {
             return Err(PyValueError::new_err(format!(
                 "expected combinations of {bases} base parameters and a transmission of {n} joints, got {height} and {square:?}"
@@ -327,9 +326,8 @@ impl Arm {
         }
         let combinations = rows(&combinations, "combinations", 0, shape[2])?;
         let transmission = rows(&transmission, "transmission", 0, n)?;
-        let work = |motion: &LinkMotion<'_>| {
-            self.0.motor_regressor(motion, &combinations, &transmission)
-        };
+        let work =
+            |motion: &LinkMotion<'_>| self.0.motor_regressor(motion, &combinations, &transmission);
         let regressor = self.along(py, [&angle, &velocity, &acceleration], work)?;
         PyArray1::from_vec(py, regressor).reshape(shape)
     }
