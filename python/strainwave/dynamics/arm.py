@@ -268,9 +268,8 @@ class Arm(ArmDescription):
         """Motor torques per base parameter, (5), (S2), (S3): (n_samples, n_joints, n_body)."""
         parameters = self.base.particular()
         n_links = len(self.base.links)
-        motion = _contiguous(angle, velocity, acceleration)
-        links = np.ascontiguousarray(parameters[:n_links])
-        torques = self.core.motor_regressor(*motion, links, self.transmission)
+        q, dq, ddq, links = _contiguous(angle, velocity, acceleration, parameters[:n_links])
+        torques = self.core.motor_regressor(q, dq, ddq, links, self.transmission)
         self.add_rotor_torques(torques, acceleration, parameters[n_links:])
         return torques
 

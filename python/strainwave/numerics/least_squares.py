@@ -90,8 +90,9 @@ def factorise(equations: Equations, root: FloatArray) -> Factor:
     `root` (n_rows,): Square roots of the weights. Raises ValueError for values that are not finite.
     """
     weighted = _weighted(equations, root, equations.target[:, None])
-    value, common, local, residual, *parts = _core.solve(weighted, equations.noise)
-    scale, singular, directions, is_resolved, leverage = parts
+    value, common, local, residual, scale, singular, directions, is_resolved, leverage = (
+        _core.solve(weighted, equations.noise)
+    )
     return Factor(
         root=root,
         value=value[:, 0],

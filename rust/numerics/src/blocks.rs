@@ -119,3 +119,95 @@ fn add_square<const FUSED: bool>(target: &mut [f64], y: &[f64]) {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::reduction::{Part, reduce};
+    use proptest::prelude::*;
+
+    /// Rows of three blocks, a row without local unknowns in one of them, and a prior.
+    const BLOCK: [Option<usize>; 8] = [
+        Some(0),
+        Some(0),
+        Some(1),
+        Some(1),
+        Some(2),
+        Some(2),
+        Some(1),
+        None,
+    ];
+
+    /// R'R of the rows that are kept.
+    fn products(seed: &[f64], is_kept: impl Fn(usize) -> bool) -> Vec<f64> {
+        let weighted = |row: usize| if is_kept(row) { 1.0 + row as f64 } else { 0.0 };
+        let root: Vec<f64> = (0..8).map(weighted).collect();
+        let mut reduced = Vec::new();
+        with_equations(seed, &root, |equations| {
+            let Equations { parameters, .. } = equations;
+            let reduction = reduce(equations).unwrap();
+            let n = equations.columns();
+            let scale = |k: usize| match k.checked_sub(1) {
+                Some(k) if k < parameters => reduction.scale[k],
+                _ => 1.0,
+            };
+            for i in 0..n {
+                for j in 0..n {
+                    let product =
+                        |k: usize| reduction.factor[k * n + i] * reduction.factor[k * n + j];
+                    let sum: f64 = (0..n).map(product).sum();
+                    reduced.push(sum * scale(i) * scale(j));
+                }
+            }
+        });
+        reduced
+    }
+
+    /// Equations with a common unknown, two parameters, a target and four local unknowns.
+    fn with_equations(seed: &[f64], root: &[f64], mut act: impl FnMut(Equations<'_>)) {
+        let windows = Windows {
+            first: &[2, 0, 1, 0, 2, 1],
+            entries: &seed[..12],
+            width: 2,
+            unknowns: 4,
+        };
+        let part = Part {
+            rows: &[4, 0, 2, 1, 5, 3],
+            windows,
+            stds: &[1.0, 0.5, 2.0, 0.7],
+        };
+        act(Equations {
+            common: &seed[12..20],
+            common_stds: &[0.8],
+            shared: &seed[20..36],
+            parameters: 2,
+            targets: &seed[36..44],
+            sides: 1,
+            root,
+            parts: &[part],
+        });
+    }
+
+    proptest! {
+        /// The products without a block are those of the other rows, whose factor is R.
+        #[test]
+        fn blocks_contribute_what_their_absence_changes(
+            seed in prop::collection::vec(-1.0..1.0f64, 44),
+        ) {
+            let root: Vec<f64> = (0..8).map(|row| 1.0 + row as f64).collect();
+            let all = products(&seed, |_| true);
+            let mut sums = None;
+            with_equations(&seed, &root, |equations| sums = block_products(equations, &BLOCK, 3));
+            let sums = sums.unwrap();
+            for (total, expected) in sums.total.iter().zip(&all) {
+                prop_assert!((total - expected).abs() < 1e-9);
+            }
+            for (block, contribution) in sums.blocks.chunks_exact(16).enumerate() {
+                let others = products(&seed, |row| BLOCK[row] != Some(block));
+                for ((all, others), contribution) in all.iter().zip(others).zip(contribution) {
+                    prop_assert!((all - others - contribution).abs() < 1e-9);
+                }
+            }
+        }
+    }
+}

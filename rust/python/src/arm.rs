@@ -29,6 +29,9 @@ const TAPS: &str =
 #[pyclass(frozen, module = "strainwave._core")]
 pub struct Arm(Box<dyn CompiledArm>);
 
+/// Readings (rows, channels) and their derivatives (rows, channels, directions).
+type Linearisation<'py> = (Bound<'py, PyArray2<f64>>, Bound<'py, PyArray3<f64>>);
+
 #[pymethods]
 impl Arm {
     #[new]
@@ -227,7 +230,7 @@ impl Arm {
         variants: Vec<(Vector<'py>, Vec<Direction>)>,
         taps: Option<Vec<Vec<f64>>>,
         samples_per_row: usize,
-    ) -> PyResult<(Bound<'py, PyArray2<f64>>, Bound<'py, PyArray3<f64>>)> {
+    ) -> PyResult<Linearisation<'py>> {
         let (joints, quantities) = (self.n_joints(), experiment.record.len());
         let core = experiment.of(joints)?;
         let decimation = match taps {
