@@ -308,7 +308,7 @@ def _joint_by_joint(
     friction[:, 0] -= body.own_lag[at]
     friction[:, 2] *= offset_share[stretch.joint]
     columns = n_body + FRICTION_COLUMNS * stretch.joint[:, None] + np.arange(FRICTION_COLUMNS)
-    np.put_along_axis(X, columns, friction, axis=1)
+    X[np.arange(len(X))[:, None], columns] = friction
     if n_shared:
         shared = arm.shared_friction_regressor(stretch.friction[:, :, 0]) - body.shared_lag
         X[:, -n_shared:] = shared[at]
