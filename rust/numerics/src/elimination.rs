@@ -10,6 +10,8 @@ use crate::products::multiply_add;
 
 /// Number of rows whose products are added in one pass.
 const ROWS_PER_PASS: usize = 4;
+/// Rows whose entries are side by side in vectors.
+const LANES: usize = 8;
 
 /// Rows of equations with few, adjacent unknowns each.
 #[derive(Clone, Copy, Debug)]
@@ -82,9 +84,7 @@ pub(crate) fn eliminate<const FUSED: bool>(
     substitute::<FUSED>(&factor, &first, &mut solution, sides);
     let mut residuals = y.to_vec();
     for ((start, row), residual) in rows.iter().zip(residuals.chunks_exact_mut(sides)) {
-        for (i, &value) in row.iter().enumerate() {
-            add_scaled::<FUSED>(residual, -value, &solution[(start + i) * sides..][..sides]);
-        }
+        subtract_product::<FUSED>(residual, row, &solution[start * sides..]);
     }
     Some(Elimination {
         solution,
@@ -153,12 +153,39 @@ impl Band {
 #[inline(always)]
 fn moments<const FUSED: bool>(rows: &[Row<'_>], y: &[f64], n: usize, sides: usize) -> Vec<f64> {
     let mut sums = vec![0.0; n * sides];
-    for ((start, row), y) in rows.iter().zip(y.chunks_exact(sides)) {
-        for (i, &value) in row.iter().enumerate() {
-            add_scaled::<FUSED>(&mut sums[(start + i) * sides..][..sides], value, y);
+    let mut columns = Vec::new();
+    for (rows, y) in rows.chunks(LANES).zip(y.chunks(LANES * sides)) {
+        let start = side_by_side(rows, -1.0, &mut columns);
+        let targets = sums[start * sides..].chunks_exact_mut(sides);
+        for (target, column) in targets.zip(&columns) {
+            subtract_product::<FUSED>(target, &column[..rows.len()], y);
         }
     }
     sums
+}
+
+/// Entries of a few rows times a factor, side by side for each unknown; the first unknown.
+#[inline(always)]
+fn side_by_side(rows: &[Row<'_>], factor: f64, columns: &mut Vec<[f64; LANES]>) -> usize {
+    let (start, stop) = range(rows);
+    columns.clear();
+    columns.resize(stop - start, [0.0; LANES]);
+    for (lane, (begin, row)) in rows.iter().enumerate() {
+        for (i, &value) in row.iter().enumerate() {
+            columns[begin - start + i][lane] = factor * value;
+        }
+    }
+    start
+}
+
+/// Range of the unknowns of a few rows; empty if they have none.
+#[inline(always)]
+fn range(rows: &[Row<'_>]) -> (usize, usize) {
+    let filled = rows.iter().filter(|(_, row)| !row.is_empty());
+    let (start, stop) = filled.fold((usize::MAX, 0), |(start, stop), (begin, row)| {
+        (start.min(*begin), stop.max(begin + row.len()))
+    });
+    (start.min(stop), stop)
 }
 
 /// Lower Cholesky factor of G.
@@ -366,9 +393,9 @@ impl RemainingRows<'_> {
                 }
             }
             let side = &mut right[(i - from) * sides..][..sides];
-            for k in begin..low {
-                let solved = &before.solved[k * sides..][..sides];
-                add_scaled::<FUSED>(side, -before.factor.at(i, k), solved);
+            if begin < low {
+                let weights = before.factor.row(i, begin, low);
+                subtract_product::<FUSED>(side, weights, &before.solved[begin * sides..]);
             }
             // unknowns after the block are numbered from the end
             let reversed = n - 1 - i;
@@ -383,9 +410,9 @@ impl RemainingRows<'_> {
                     middle.add(j - from, i - from, -taken);
                 }
             }
-            for k in begin..high {
-                let solved = &after.solved[k * sides..][..sides];
-                add_scaled::<FUSED>(side, -after.factor.at(reversed, k), solved);
+            if begin < high {
+                let weights = after.factor.row(reversed, begin, high);
+                subtract_product::<FUSED>(side, weights, &after.solved[begin * sides..]);
             }
         }
         decompose::<FUSED>(&mut middle, &first)?;
@@ -437,10 +464,7 @@ struct Products {
 impl Products {
     #[inline(always)]
     fn add<const FUSED: bool>(&mut self, matrix: &mut Band, rows: &[Row<'_>]) {
-        let filled = rows.iter().filter(|(_, row)| !row.is_empty());
-        let (start, stop) = filled.fold((usize::MAX, 0), |(start, stop), (begin, row)| {
-            (start.min(*begin), stop.max(begin + row.len()))
-        });
+        let (start, stop) = range(rows);
         if stop <= start {
             return;
         }
@@ -479,16 +503,27 @@ fn add_alone<const FUSED: bool>(matrix: &mut Band, (start, row): Row<'_>) {
 #[inline(always)]
 fn leverages<const FUSED: bool>(rows: &[Row<'_>], inverse: &Band) -> Vec<f64> {
     let mut leverage = Vec::with_capacity(rows.len());
-    // loops instead of closures: a closure is compiled without the target features, so each fused
-    // product would be a call
-    for &(start, row) in rows {
-        let mut sum = 0.0;
-        for (i, &value) in row.iter().enumerate() {
-            let entries = inverse.row(start + i, start, start + i + 1);
-            let below = dot::<FUSED>(&entries[..i], &row[..i]);
-            sum += value * (2.0 * below + entries[i] * value);
+    let mut columns = Vec::new();
+    for rows in rows.chunks(LANES) {
+        let start = side_by_side(rows, 1.0, &mut columns);
+        let mut sums = [0.0; LANES];
+        for (i, column) in columns.iter().enumerate() {
+            // no row has unknowns beyond the band together
+            let from = i.saturating_sub(inverse.left);
+            let entries = inverse.row(start + i, start + from, start + i + 1);
+            let mut below = [0.0; LANES];
+            for (entry, other) in entries[..i - from].iter().zip(&columns[from..]) {
+                for lane in 0..LANES {
+                    below[lane] = multiply_add::<FUSED>(*entry, other[lane], below[lane]);
+                }
+            }
+            for lane in 0..LANES {
+                let product =
+                    multiply_add::<FUSED>(entries[i - from], column[lane], 2.0 * below[lane]);
+                sums[lane] = multiply_add::<FUSED>(column[lane], product, sums[lane]);
+            }
         }
-        leverage.push(sum);
+        leverage.extend_from_slice(&sums[..rows.len()]);
     }
     leverage
 }
@@ -562,14 +597,9 @@ fn substitute_forward<const FUSED: bool>(
 ) {
     for i in 0..first.len() {
         let (above, row) = right.split_at_mut(i * sides);
-        for j in first[i]..i {
-            add_scaled::<FUSED>(
-                &mut row[..sides],
-                -factor.at(i, j),
-                &above[j * sides..][..sides],
-            );
-        }
-        row[..sides].iter_mut().for_each(|v| *v /= factor.at(i, i));
+        let (row, known) = (&mut row[..sides], &above[first[i] * sides..]);
+        subtract_product::<FUSED>(row, factor.row(i, first[i], i), known);
+        row.iter_mut().for_each(|v| *v /= factor.at(i, i));
     }
 }
 
@@ -588,16 +618,19 @@ fn substitute_backward<const FUSED: bool>(
     right: &mut [f64],
     sides: usize,
 ) {
+    let mut column = Vec::with_capacity(factor.left);
+    let mut stop = first.len(); // end of the rows of L that contain unknown i
     for i in (0..first.len()).rev() {
-        let (above, row) = right.split_at_mut(i * sides);
-        row[..sides].iter_mut().for_each(|v| *v /= factor.at(i, i));
-        for j in first[i]..i {
-            add_scaled::<FUSED>(
-                &mut above[j * sides..][..sides],
-                -factor.at(i, j),
-                &row[..sides],
-            );
+        while stop > i + 1 && first[stop - 1] > i {
+            stop -= 1;
         }
+        column.clear();
+        for k in i + 1..stop {
+            column.push(factor.at(k, i));
+        }
+        let (row, below) = right[i * sides..].split_at_mut(sides);
+        subtract_product::<FUSED>(row, &column, below);
+        row.iter_mut().for_each(|v| *v /= factor.at(i, i));
     }
 }
 
@@ -661,6 +694,45 @@ fn add_four<const FUSED: bool>(
     }
 }
 
+/// Subtracts the product of a row of weights and as many rows, which begin with `rows`.
+#[inline(always)]
+fn subtract_product<const FUSED: bool>(target: &mut [f64], weights: &[f64], rows: &[f64]) {
+    let width = target.len();
+    let mut done = 0;
+    while done < width {
+        done += match width - done {
+            8.. => subtract_columns::<FUSED, 8>(target, done, weights, rows),
+            4..8 => subtract_columns::<FUSED, 4>(target, done, weights, rows),
+            _ => subtract_columns::<FUSED, 1>(target, done, weights, rows),
+        };
+    }
+}
+
+/// Computes the next `COLUMNS` numbers of such a difference in registers; their number.
+#[inline(always)]
+fn subtract_columns<const FUSED: bool, const COLUMNS: usize>(
+    target: &mut [f64],
+    from: usize,
+    weights: &[f64],
+    rows: &[f64],
+) -> usize {
+    let width = target.len();
+    let numbers: &mut [f64; COLUMNS] = (&mut target[from..from + COLUMNS])
+        .try_into()
+        .expect("COLUMNS numbers");
+    let mut rest = *numbers;
+    for (k, weight) in weights.iter().enumerate() {
+        let row: &[f64; COLUMNS] = rows[k * width + from..][..COLUMNS]
+            .try_into()
+            .expect("COLUMNS numbers");
+        for i in 0..COLUMNS {
+            rest[i] = multiply_add::<FUSED>(-weight, row[i], rest[i]);
+        }
+    }
+    *numbers = rest;
+    COLUMNS
+}
+
 #[inline(always)]
 fn add_scaled<const FUSED: bool>(target: &mut [f64], weight: f64, source: &[f64]) {
     // indices instead of `zip`, whose call is not always compiled inline
@@ -672,8 +744,8 @@ fn add_scaled<const FUSED: bool>(target: &mut [f64], weight: f64, source: &[f64]
 
 #[inline(always)]
 fn dot<const FUSED: bool>(left: &[f64], right: &[f64]) -> f64 {
-    const LANES: usize = 4;
-    const UNROLLED_LENGTH: usize = 4 * LANES; // enough independent sums to hide the latency of an addition
+    const PARTS: usize = 4;
+    const UNROLLED_LENGTH: usize = 4 * PARTS; // enough independent sums to hide the latency of an addition
     let right = &right[..left.len()];
     let mut sums = [0.0; UNROLLED_LENGTH];
     let mut at = 0;
@@ -687,14 +759,14 @@ fn dot<const FUSED: bool>(left: &[f64], right: &[f64]) -> f64 {
         }
         at += UNROLLED_LENGTH;
     }
-    let mut sum: [f64; LANES] =
+    let mut sum: [f64; PARTS] =
         std::array::from_fn(|i| (sums[i] + sums[4 + i]) + (sums[8 + i] + sums[12 + i]));
-    while at + LANES <= left.len() {
-        let (l, r) = (&left[at..][..LANES], &right[at..][..LANES]);
-        for lane in 0..LANES {
+    while at + PARTS <= left.len() {
+        let (l, r) = (&left[at..][..PARTS], &right[at..][..PARTS]);
+        for lane in 0..PARTS {
             sum[lane] = multiply_add::<FUSED>(l[lane], r[lane], sum[lane]);
         }
-        at += LANES;
+        at += PARTS;
     }
     let mut rest = 0.0;
     for i in at..left.len() {
