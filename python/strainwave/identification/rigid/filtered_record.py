@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TypeVar
@@ -190,7 +191,9 @@ def prepare(arm: Arm, signals: Signals, bandwidth_hz: float, period: float) -> F
         signals.direction,
     ]
     joined = np.empty((n_samples, len(channels) * n_joints))
-    np.concatenate([x.T for x in channels], out=joined.T)  # column by column, which is faster
+    columns = itertools.chain.from_iterable(x.T for x in channels)
+    for target, column in zip(joined.T, columns, strict=True):
+        target[:] = column  # faster than one concatenation of narrow arrays
     filtered = motion_of(joined, bandwidth_hz, T)
     angle, velocity, acceleration, torque, direction = (
         np.ascontiguousarray(x) for x in np.split(filtered, len(channels), axis=1)

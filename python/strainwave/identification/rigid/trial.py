@@ -77,7 +77,7 @@ class Trial:
     @property
     def standard_deviations(self) -> FloatArray:
         """Standard deviations (n_parameters,) by the jackknife."""
-        return np.sqrt(np.clip(np.diag(self.covariance), 0.0, None))
+        return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
 
     @property
     def spread(self) -> FloatArray:
