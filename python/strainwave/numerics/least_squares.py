@@ -87,12 +87,14 @@ def factorise(equations: Equations, root: FloatArray) -> Factor:
     The SVD of the block of x in R gives the identifiable directions: their singular values exceed
     those of the regressor noise.
 
-    `root` (n_rows,): Square roots of the weights. Raises ValueError for values that are not finite.
+    `root` (n_rows,): Square roots of the weights. Raises LinAlgError where a value is not finite.
     """
     weighted = _weighted(equations, root, equations.target[:, None])
-    value, common, local, residual, scale, singular, directions, is_resolved, leverage = (
-        _core.solve(weighted, equations.noise)
-    )
+    try:
+        solution = _core.solve(weighted, equations.noise)
+    except ValueError as error:
+        raise np.linalg.LinAlgError(str(error)) from error
+    value, common, local, residual, scale, singular, directions, is_resolved, leverage = solution
     return Factor(
         root=root,
         value=value[:, 0],
