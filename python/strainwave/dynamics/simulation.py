@@ -154,7 +154,7 @@ def plan_run(
     max_time_step: float = MAX_TIME_STEP,
     sums: Mapping[Quantity, FloatArray] | None = None,
 ) -> PlannedRun:
-    """Prepare one experiment on one arm; arguments and errors are those of `sensitivities`."""
+    """Prepare one experiment on one arm; see `channel_sensitivities` for arguments and errors."""
     experiment = _experiment(arm, drive, (sample_time, samples), record, max_time_step, sums)
     return PlannedRun(arm, _vector(arm, values), experiment)
 
@@ -271,7 +271,7 @@ def _experiment(
     drive: Drive,
     sampling: tuple[float, int],
     record: Sequence[Quantity],
-    max_time_step: float = MAX_TIME_STEP,
+    max_time_step: float,
     sums: Mapping[Quantity, FloatArray] | None = None,
 ) -> _core.Experiment:
     """The experiment for the core; `sampling` is the time and number of samples."""

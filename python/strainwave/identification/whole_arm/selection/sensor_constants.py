@@ -42,11 +42,7 @@ from strainwave.identification.whole_arm.problem.parameter_space import (
 )
 from strainwave.identification.whole_arm.problem.weighted_rows import Evaluation
 from strainwave.identification.whole_arm.records.dataset import Dataset
-from strainwave.identification.whole_arm.search import (
-    Fit,
-    refine,
-    resumed_coarse_search,
-)
+from strainwave.identification.whole_arm.search import Fit, refine, resumed_coarse_search
 from strainwave.identification.whole_arm.selection.candidate import Candidate, Selection
 from strainwave.numerics.search import Linearised, full_step
 from strainwave.numerics.spectra import estimate_rows_per_error
@@ -188,9 +184,9 @@ add_fine_sensor_constants = Candidate(_with_significant_constants, refine, is_re
 def with_evident_constants(fit: Fit, selection: Selection) -> Fit:
     """The fit with the constants that are significant already, and with weights for them."""
     start = _with_significant_constants(fit, selection)
-    return (
-        fit if start is None else replace(start, objective=start.objective.update_weights(start.z))
-    )
+    if start is None:
+        return fit
+    return replace(start, objective=start.objective.update_weights(start.z))
 
 
 def _without_least_significant(fit: Fit, selection: Selection) -> Fit | None:
