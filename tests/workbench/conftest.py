@@ -204,6 +204,18 @@ class Visit:
             assert time.monotonic() < limit, expression
             time.sleep(0.05)
 
+    def take_refusals(self) -> None:
+        """Wait for the browser's report of a refused request, and forget it.
+
+        The report may come later than the page's own message.
+        """
+        limit = time.monotonic() + 60.0
+        while not self.faults:
+            assert time.monotonic() < limit, "no request was refused"
+            self.page.wait_for_timeout(50)
+        assert all("Failed to load resource" in fault for fault in self.faults), self.faults
+        self.faults.clear()
+
     def check_accessibility(self) -> None:
         """Fail if axe-core finds a fault on the page."""
         from axe_playwright_python.sync_playwright import Axe

@@ -15,7 +15,7 @@ from campaign_rigs import rig, rigs
 from dask_processes import dask
 from strainwave.fleet.campaign import cluster
 from strainwave.fleet.campaign.records import RunLimits
-from strainwave.fleet.campaign.runner import CampaignPlan
+from strainwave.fleet.campaign.runner import CampaignPlan, failed
 from strainwave.fleet.campaign.store import Store
 from strainwave.fleet.campaign.study_files import find
 from strainwave.numerics import dask_cluster
@@ -86,21 +86,22 @@ def test_the_scheduler_is_killed_and_another_cluster_continues(
 
 
 class Future:
-    """A Dask future that has ended."""
+    """A Dask future that has ended, or whose result was lost and is computed again."""
 
-    def __init__(self, status: str, error: Exception | None = None) -> None:
-        self.status, self._error = status, error
+    def __init__(self, status: str, error: Exception | None = None, result: str = "") -> None:
+        self.status, self._error, self._result = status, error, result
 
     @property
     def client(self) -> Any:
         return self
 
     def exception(self) -> Exception | None:
-        return self._error
+        return self._error if self.status == "error" else None
 
     def result(self) -> str:
-        assert self._error is not None
-        raise self._error
+        if self._error is not None:
+            raise self._error
+        return self._result
 
     def submit(self, *arguments: object, **keywords: object) -> None:
         self.result()
@@ -123,6 +124,14 @@ def test_a_study_whose_workers_die_repeatedly_has_failed(tmp_path: Path) -> None
     assert row["message"] == outcome.message
 
 
+@pytest.mark.parametrize("status", ["finished", "lost", "pending"])
+def test_an_outcome_whose_worker_died_meanwhile_is_waited_for(status: str, tmp_path: Path) -> None:
+    task, plan = planned(tmp_path)
+    outcome = failed(task[0], "a fault", exit_code=2, started=task[1], store=plan.store)
+    future = Future(status, result=outcome.to_json())
+    assert cluster._outcome(task, future, plan) == outcome
+
+
 def test_a_run_recorded_by_a_dying_worker_is_not_repeated(tmp_path: Path) -> None:
     (task, since), plan = planned(tmp_path)
     limits = {"time_s": 60.0, "memory_mib": None, "tasks": 100}
@@ -140,7 +149,7 @@ def test_a_run_recorded_by_a_dying_worker_is_not_repeated(tmp_path: Path) -> Non
     [
         (Future("error", ModuleNotFoundError("No module 's'")), sw.InvalidInput, "No module 's'"),
         (Future("error", sw.InvalidInput("does not start")), sw.InvalidInput, "does not start"),
-        (Future("cancelled"), dask_cluster.ClusterLost, "scheduler is lost"),
+        (Future("cancelled", CancelledError()), dask_cluster.ClusterLost, "scheduler is lost"),
         (Future("finished", OSError("in <TCP>: closed")), dask_cluster.ClusterLost, "scheduler is"),
         (Future("finished", CancelledError()), dask_cluster.ClusterLost, "scheduler is lost"),
     ],

@@ -109,5 +109,5 @@ def test_values_that_cannot_be_taken_are_a_sentence(visit: Any, tmp_path: Path) 
     before = (visit.folder / "arm" / "study.toml").read_text()
     drop(page, tmp_path / "sheet.toml")
     page.wait_for_selector("#message.bad:has-text('1 joint(s), and this arm has 2')")
-    visit.faults.clear()  # the browser reports the refused request
+    visit.take_refusals()
     assert (visit.folder / "arm" / "study.toml").read_text() == before

@@ -86,7 +86,7 @@ def test_logs_of_different_kinds_are_chosen_after_the_upload(visit: Any, tmp_pat
     page.select_option("#urdf", "one.urdf")
     page.click("#draft")
     page.wait_for_selector("#message.bad:has-text('one.urdf')")
-    visit.faults.clear()  # the browser reports the refused request
+    visit.take_refusals()
     page.select_option("#urdf", "")
     page.click("#draft")
     page.wait_for_url("**/study/rig/study.toml")

@@ -116,7 +116,7 @@ def test_a_wrong_value_keeps_its_text_and_names_its_field(visit: Any) -> None:
     page.fill("#field-joint-1-gear_ratio", "3 mm")
     page.keyboard.press("Tab")
     visit.wait_until("document.querySelector('#message').textContent.includes('joint 2')")
-    visit.faults.clear()  # the browser reports the refused request
+    visit.take_refusals()
     field = page.locator("#field-joint-1-gear_ratio")
     assert (field.input_value(), field.get_attribute("aria-invalid")) == ("3 mm", "true")
 
@@ -288,7 +288,7 @@ def test_an_error_of_the_text_leads_to_its_line(visit: Any) -> None:
     page.click("#save")
     selected = "document.querySelector('#text').value.slice(...['Start', 'End'].map((k) => document.querySelector('#text')[`selection${k}`]))"
     visit.wait_until(f"{selected} === 'nonsense'")
-    visit.faults.clear()  # the browser reports the refused request
+    visit.take_refusals()
     text.fill(good.replace("[arm]", "[arm]\nlinklength = 1", 1))
     page.click("#save")
     page.wait_for_selector("#to-line:visible")

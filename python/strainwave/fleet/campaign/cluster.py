@@ -132,15 +132,16 @@ def _next_batch(ended: Any, client: Any, *, wait: bool) -> list[Any]:
 
 
 def _outcome(planned: _Planned, future: Any, plan: CampaignPlan) -> Outcome:
-    """Outcome of a Dask task; a task whose workers died repeatedly is a failed run."""
+    """Outcome of a Dask task; a task whose workers died repeatedly is a failed run.
+
+    Waits again if the worker that holds the outcome has died meanwhile.
+    """
     from distributed import KilledWorker
 
-    if future.status == "finished":
-        with connected_call(future.client):
+    with connected_call(future.client):
+        error = future.exception()
+        if error is None:
             return Outcome.from_json(future.result())
-    if future.status != "error":
-        raise ClusterLost
-    error = future.exception()
     if isinstance(error, KilledWorker):
         message = f"the Dask workers that ran it died, {error.allowed_failures + 1} in a row"
         task, since = planned
