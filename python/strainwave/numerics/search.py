@@ -116,12 +116,12 @@ def minimise(
     `relative`: Tolerance as a share of the cost, added to `tolerance`.
     `damping`: Initial damping, relative to squared singular values of columns of unit length. Use a
         small value if the start is near the minimum.
-    `near`: Whether the start is near the minimum, so that steps are often rejected.
+    `near`: Whether the start is near the minimum, where whole steps may be too short.
     `rough`: Whether the iteration ends where the cost is discontinuous at the scale of a step.
     `max_evaluations`: Maximum number of calls of `linearise`.
-    `cost`: Cost alone, where it takes far less time than `linearise`. Near the minimum and after a
-        rejected step, steps are often rejected, so this cost must decrease before they are
-        linearised.
+    `cost`: Cost alone, where it takes far less time than `linearise`. After a rejected step, the
+        next ones are often rejected, so this cost must decrease before they are linearised. Near
+        the minimum, longer steps are tried by it after one that was too short.
 
     Returns None if the problem is not defined at the start.
     """
@@ -130,7 +130,7 @@ def minimise(
         return None
     current = first
     growth, trusted_share = 2.0, 1.0
-    evaluations, was_rejected = 1, False
+    evaluations, was_rejected, was_short = 1, False, False
     costs: list[float] = []
     while True:
         is_free = ~space.at_bounds(x, current.factor[:, :-1].T @ current.factor[:, -1])
@@ -158,7 +158,7 @@ def minimise(
             return Minimum(x, current, evaluations, SearchEnd.STALLED)
         candidate = None
         trial, plain_cost = space.move(x, step), -np.inf
-        if cost and (near or was_rejected):
+        if cost and (was_rejected or (near and was_short)):
             least_cost = current.cost - _MIN_LONGER_GAIN_RATIO * predicted
             trial, plain_cost = _try_step(cost, partial(space.move, x), step, limit, least_cost)
         if plain_cost < current.cost:
@@ -180,6 +180,7 @@ def minimise(
             damping = max(damping / 5.0, _MIN_DAMPING)
         elif gain_ratio < _MAX_POOR_GAIN_RATIO:
             damping *= 2.0
+        was_short = gain_ratio > _MIN_LONGER_GAIN_RATIO
         growth, trusted_share = 2.0, min(1.0, trusted_share / _STEP_REDUCTION)
         x, current = trial, candidate
 
