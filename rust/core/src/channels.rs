@@ -85,8 +85,8 @@ impl Derivatives {
     ) -> (Vec<f64>, Vec<f64>) {
         let rows = self.values.first().map_or(0, Vec::len) / joints.max(1);
         let (mut readings, width) = (Vec::with_capacity(rows * channels.len()), chain.columns);
-        let mut derivatives = vec![0.0; rows * channels.len() * width];
-        let mut cells = derivatives.chunks_exact_mut(width.max(1));
+        // grown cell by cell: zeros that are read before they are written cost two page faults
+        let mut derivatives = Vec::with_capacity(rows * channels.len() * width);
         for row in 0..rows {
             for &Channel {
                 quantity,
@@ -98,10 +98,10 @@ impl Derivatives {
                 readings.push(factor * self.values[quantity][cell]);
                 let tangents = &self.tangents[quantity];
                 let directions = tangents.len() / (rows * joints);
-                if let Some(by_columns) = cells.next() {
-                    let by_directions = &tangents[cell * directions..][..directions];
-                    chain.add(by_directions, factor, by_columns);
-                }
+                let by_directions = &tangents[cell * directions..][..directions];
+                let begin = derivatives.len();
+                derivatives.resize(begin + width, 0.0);
+                chain.add(by_directions, factor, &mut derivatives[begin..]);
             }
         }
         (readings, derivatives)
