@@ -214,7 +214,8 @@ def _search(start: Start, selection: Selection) -> Fit:
     ]
     with_found = set_record_effects(records, selection.arm, coarse.space.keys)
     objective = coarse.objective.replace_records(with_found).update_weights(coarse.z)
-    coarse.objective.forget()
+    for ended in (start.coarse, coarse):
+        ended.objective.forget()
     fine = fine_search(
         replace(coarse, objective=objective),
         selection.options,

@@ -185,10 +185,14 @@ def fine_search(
             break
         if fit.iterations >= options.max_iterations:
             return replace(fit, end=SearchEnd.EVALUATION_LIMIT)
-        corrected = fit.objective.correct_step_error(fit.z).update_weights(fit.z)
-        fit = replace(fit, objective=corrected)
+        uncorrected = fit.objective
+        corrected = uncorrected.correct_step_error(fit.z)
+        fit = replace(fit, objective=corrected.update_weights(fit.z))
         if not is_corrected:
             fit = extend(fit)
+        for ended in (uncorrected, corrected):
+            if ended.memory is not fit.objective.memory:
+                ended.forget()
         fit = refine(fit, options)
     return fit
 
