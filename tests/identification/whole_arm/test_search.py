@@ -44,6 +44,9 @@ class Corrected:
     def resolve_modes(self, _: FloatArray) -> Corrected:
         return self
 
+    def follow(self, *_: Corrected) -> None:
+        """Nothing is cached."""
+
 
 def test_a_search_leaves_the_point_of_its_step_error_correction() -> None:
     start = Fit.at(cast(Any, Corrected()), np.zeros(1))

@@ -190,9 +190,7 @@ def fine_search(
         fit = replace(fit, objective=corrected.update_weights(fit.z))
         if not is_corrected:
             fit = extend(fit)
-        for ended in (uncorrected, corrected):
-            if ended.memory is not fit.objective.memory:
-                ended.forget()
+        fit.objective.follow(uncorrected, corrected)
         fit = refine(fit, options)
     return fit
 

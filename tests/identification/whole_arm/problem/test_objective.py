@@ -161,6 +161,21 @@ def test_derivatives_that_are_not_kept_are_computed_again(
         np.testing.assert_allclose(result, one, rtol=1e-9, atol=1e-9 * np.max(np.abs(one)))
 
 
+def test_what_is_cached_is_freed_unless_the_next_search_shares_it() -> None:
+    objective, z = near_truth("linear")
+    cost = cost_of(objective, z)
+    reweighted, other = objective.update_weights(z), objective.replace_records(objective.records)
+
+    def has_cached() -> bool:
+        return objective.memory.last is not None
+
+    reweighted.follow(objective)
+    assert has_cached()
+    other.follow(objective, reweighted)
+    assert not has_cached()
+    assert cost_of(objective, z) == pytest.approx(cost, rel=1e-6)
+
+
 @pytest.mark.parametrize("spring", ["linear", "three-slope"])
 def test_the_cost_needs_no_derivatives(spring: str) -> None:
     objective, z = near_truth(spring)

@@ -248,6 +248,12 @@ class Objective:
         self.memory.last = self.memory.rows = None
         self.memory.long_steps = self.memory.remote = None
 
+    def follow(self, *ended: Objective) -> None:
+        """Free what objectives have cached whose searches have ended, unless this one shares it."""
+        for one in ended:
+            if one.memory is not self.memory:
+                one.forget()
+
     def replace_unknowns(self, space: ParameterSpace) -> Objective:
         """Replace the shared unknowns."""
         return replace(
