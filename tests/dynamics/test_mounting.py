@@ -120,7 +120,7 @@ def test_the_kinematics_match_the_core(gravity: float | None) -> None:
     )
     q, dq, ddq = (run[name] for name in motion)
     for axis in sensor_axes:
-        basis = link_quantities(axis, Arm.of(study.arm), JointMotion(q, dq, ddq))
+        (basis,) = link_quantities([axis], Arm.of(study.arm), JointMotion(q, dq, ddq))
         for k, name in enumerate(axis.quantities):
             np.testing.assert_allclose(basis[:, k], run[name][:, axis.joint - 1], atol=1e-9)
 
@@ -230,7 +230,7 @@ def test_the_search_recovers_a_random_mounting(
     imu_axes, true_axes = (mounted_axes(rig.arm, joint, channels) for rig in (unknown, true))
     tables = []
     for axis in true_axes:
-        parts = link_quantities(axis, Arm.of(true.arm), JointMotion(q, dq, ddq))
+        (parts,) = link_quantities([axis], Arm.of(true.arm), JointMotion(q, dq, ddq))
         rows = np.column_stack([parts, parts @ axis.weights({})])
         tables.append(rows - rows.mean(axis=0))
     starts = imu_candidates(imu_axes, tables)[0]

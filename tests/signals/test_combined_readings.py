@@ -47,7 +47,8 @@ def test_an_imu_on_a_sliding_link_becomes_an_accelerometer(imu: Imu) -> None:
     assert axes is not None
     channels = {f"theta_m{i + 1}": motors[:, i] for i in range(2)}
     for axis in axes.axes(2, link_space(arm, 2)):
-        channels[axis.channel] = link_quantities(axis, arm, motion) @ axis.sensor.weights(axis, {})
+        (parts,) = link_quantities([axis], arm, motion)
+        channels[axis.channel] = parts @ axis.sensor.weights(axis, {})
     log = Log(Experiment("motion", "", "motion", ("open",) * 2), t, T, channels)
     reading = combine_axes([log], arm, [log])[2]
     assert reading is not None

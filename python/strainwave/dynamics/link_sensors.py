@@ -211,10 +211,10 @@ def read_link(arm: Arm, motion: JointMotion, i: JointIndex) -> FloatArray:
     return np.column_stack([forces, accelerations, products, rates])
 
 
-def link_quantities(axis: SensorAxis, arm: Arm, motion: JointMotion) -> FloatArray:
-    """The quantities (n_samples, n_quantities) that an axis reads, from the joints' motion."""
-    columns = [LINK_SIGNALS.index(name) for name in axis.quantities]
-    return read_link(arm, motion, axis.joint - 1)[:, columns]
+def link_quantities(axes: Sequence[SensorAxis], arm: Arm, motion: JointMotion) -> list[FloatArray]:
+    """The quantities (n_samples, n_quantities) that each axis on a link reads, from the motion."""
+    signals = read_link(arm, motion, axes[0].joint - 1)
+    return [signals[:, [LINK_SIGNALS.index(name) for name in axis.quantities]] for axis in axes]
 
 
 def channel_weights(joint: Joint, kind: str, distance: float | None = None) -> FloatArray | None:

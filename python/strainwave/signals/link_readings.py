@@ -84,8 +84,8 @@ class LinkReading:
         """The reading in a record: (n_samples,)."""
         samples = self.weights @ np.array([log.channels[name] for name in self.channels])
         if self.others is not None:
-            axis, motion = self.axes[0], slow_motion(log, arm)
-            samples -= link_quantities(axis, arm, motion) @ self.others[axis.is_simulated]
+            (quantities,) = link_quantities(self.axes[:1], arm, slow_motion(log, arm))
+            samples -= quantities @ self.others[self.axes[0].is_simulated]
         return np.asarray(samples)
 
     def predict(self, arm: Arm, motion: JointMotion) -> FloatArray:

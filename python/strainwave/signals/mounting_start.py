@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import product
 
 import numpy as np
@@ -40,6 +41,7 @@ from strainwave.domain.keys import JointNumber, Key
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.link_sensors import JointMotion, link_quantities
 from strainwave.numerics.filters import low_pass
+from strainwave.numerics.parallel import run_parallel
 from strainwave.signals.prepared_record import prepare_record
 
 _MAX_FREQUENCY_HZ = 2.0  # [Hz] below which links follow their motors; most resonances exceed 10 Hz
@@ -102,20 +104,28 @@ def linear_factors(logs: Sequence[Log], arm: Arm, axes: Sequence[SensorAxis]) ->
 
 def _axis_tables(logs: Sequence[Log], arm: Arm, axes: Sequence[SensorAxis]) -> list[FloatArray]:
     """Quantities of each axis and, in the last column, its reading; all centred per record."""
-    tables: list[list[FloatArray]] = [[np.zeros((1, len(axis.quantities) + 1))] for axis in axes]
-    for log in logs:
-        if len(log) < _MIN_SAMPLES or f"theta_m{arm.n_joints}" not in log.channels:
-            continue
-        motion = slow_motion(log, arm)
-        for axis, table in zip(axes, tables, strict=True):
-            if axis.channel not in log.channels:
-                continue
-            reading = low_pass(log.channels[axis.channel], _cutoff_hz(log), log.sample_time)
-            rows = np.column_stack([link_quantities(axis, arm, motion), reading])
-            edge = min(round(_EDGE_PERIODS / (_cutoff_hz(log) * log.sample_time)), len(log) // 4)
-            rows = rows[edge : len(log) - edge]
-            table.append(rows - rows.mean(axis=0))
-    return [np.concatenate(table) for table in tables]
+    usable = [
+        log for log in logs if len(log) >= _MIN_SAMPLES and f"theta_m{arm.n_joints}" in log.channels
+    ]
+    first = [np.zeros((1, len(axis.quantities) + 1)) for axis in axes]
+    tables = run_parallel([partial(_record_tables, log, arm, axes) for log in usable])
+    return [np.concatenate(parts) for parts in zip(first, *tables, strict=True)]
+
+
+def _record_tables(log: Log, arm: Arm, axes: Sequence[SensorAxis]) -> list[FloatArray]:
+    """The tables of one record; without rows for an axis that it lacks."""
+    cutoff_hz, tables = _cutoff_hz(log), []
+    edge = min(round(_EDGE_PERIODS / (cutoff_hz * log.sample_time)), len(log) // 4)
+    for axis, quantities in zip(
+        axes, link_quantities(axes, arm, slow_motion(log, arm)), strict=True
+    ):
+        rows = np.zeros((0, len(axis.quantities) + 1))
+        if axis.channel in log.channels:
+            reading = low_pass(log.channels[axis.channel], cutoff_hz, log.sample_time)
+            rows = np.column_stack([quantities, reading])[edge : len(log) - edge]
+            rows = rows - rows.mean(axis=0)
+        tables.append(rows)
+    return tables
 
 
 def _cutoff_hz(log: Log) -> float:

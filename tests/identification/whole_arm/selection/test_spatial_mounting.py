@@ -168,7 +168,7 @@ def test_a_mounting_about_one_axis_of_any_direction(axis: tuple[float, float, fl
     true = mounted_axes(arm.with_joint(1, imu=Imu(XYZ, RPY)), 1, [axis.channel for axis in unknown])
     tables = []
     for each in true:
-        parts = link_quantities(each, arm, motion)
+        (parts,) = link_quantities([each], arm, motion)
         rows = np.column_stack([parts, parts @ each.weights({})])
         tables.append(rows - rows.mean(axis=0))
     starts = imu_candidates(unknown, tables)[0]
