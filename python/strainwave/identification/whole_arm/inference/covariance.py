@@ -326,14 +326,15 @@ def gradient_covariances(
     multiplicity = np.full(n_fft // 2 + 1, 2.0)  # positive and negative frequencies
     multiplicity[[0, -1]] = 1.0
     lines = np.fft.rfft(columns, n_fft, axis=0)
+    parts = np.concatenate([lines.real, lines.imag])
     covariances = []
     for autocovariance in autocovariances:
         lags = np.zeros(n_fft)
         lags[:max_lag] = taper * autocovariance[:max_lag]
         lags[n_fft - max_lag + 1 :] = lags[1:max_lag][::-1]
         power = np.maximum(np.fft.rfft(lags).real, 0.0)
-        weighted = lines * np.sqrt(multiplicity * power / n_fft)[:, None]
-        covariances.append(weighted.real.T @ weighted.real + weighted.imag.T @ weighted.imag)
+        weighted = parts * np.tile(np.sqrt(multiplicity * power / n_fft), 2)[:, None]
+        covariances.append(weighted.T @ weighted)
     return covariances
 
 
