@@ -17,6 +17,7 @@ __all__ = [
     "Subspace",
     "balancing",
     "block_products",
+    "eigenvalues",
     "gear_laws",
     "huber_roots",
     "is_stable",
@@ -275,6 +276,13 @@ def block_products(
     `count`; it is negative for priors. Returns the sum over all rows, the contribution of each
     block (count, ...), and that of the errors of priors. The GIL is released. Raises ValueError for
     sizes that do not fit, local unknowns of priors and entries that are not finite.
+    """
+
+def eigenvalues(matrices: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Real and imaginary parts (n_matrices, n, 2) of eigenvalues of matrices (n_matrices, n, n).
+
+    Their order is not defined. The GIL is released. Raises ArithmeticError for entries that are not
+    finite, and ValueError for matrices that are not square or not contiguous.
     """
 
 def huber_roots(

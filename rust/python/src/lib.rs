@@ -2,6 +2,7 @@
 
 mod arguments;
 mod arm;
+mod eigenvalues;
 mod experiment;
 mod least_squares;
 mod load_stream;
@@ -22,6 +23,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     least_squares::register(module)?;
     triangular::register(module)?;
     symmetric_filter::register(module)?;
+    eigenvalues::register(module)?;
     parameters::register(module)?;
     module.add("GEAR_CORNER", strainwave_core::joint::gear::CORNER)?;
     Ok(())
