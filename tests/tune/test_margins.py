@@ -208,6 +208,14 @@ def test_loops_of_six_joints_are_those_of_a_solution_at_each_frequency() -> None
     )
 
 
+def test_sizes_that_do_not_fit_are_refused() -> None:
+    loops = np.ones((3, 5), dtype=complex)
+    with pytest.raises(ValueError, match="4 frequencies, got 10 numbers"):
+        margins_of(loops, OMEGA[:4])
+    with pytest.raises(ValueError, match="all pairs of 2 joints"):
+        open_loops(np.ones((7, 2, 5), dtype=complex), loops[:2])
+
+
 def test_bands_contain_all_loops_and_begin_with_the_estimates() -> None:
     s = 1j * OMEGA
     loops = np.array([gain / s**2 / (1.0 + 0.01 * s) for gain in (10.0, 20.0, 5.0)])

@@ -14,11 +14,11 @@ const LANES: usize = 8;
 const MAX_ITERATIONS: usize = 30;
 /// Iterations for an eigenvalue after which a shift is exceptional.
 const EXCEPTIONAL_SHIFT_EVERY: usize = 10;
-/// Share of the largest entry below which entries left of the diagonal are zero: their squares do not
-/// underflow.
+/// Share of the largest entry below which entries left of the diagonal are zero: squares of the
+/// others do not underflow.
 const NEGLIGIBLE_SHARE: f64 = f64::EPSILON * f64::EPSILON;
-/// Real part from a diagonal entry, and imaginary part, of an exceptional shift, over the sum of two
-/// entries below the diagonal; as in LAPACK.
+/// Real part from a diagonal entry, and imaginary part, of an exceptional shift, over the sum of
+/// two entries below the diagonal; as in LAPACK.
 const EXCEPTIONAL_SHIFT: [f64; 2] = [0.75, 0.6614378277661477];
 /// Sum of the norms of a row and its column, over the last one, below which balancing continues.
 const MIN_NORM_DECREASE: f64 = 0.95;
@@ -277,8 +277,8 @@ impl Group {
         0
     }
 
-    /// Eigenvalues of the last two rows of a block, or twice its real eigenvalue that is closer to the
-    /// last entry; sometimes other numbers, which break cycles.
+    /// Eigenvalues of the last two rows of a block, or twice its real eigenvalue that is closer to
+    /// the last entry; sometimes other numbers, which break cycles.
     #[inline(always)]
     fn shifts(&self, low: usize, high: usize, iteration: usize, lane: usize) -> [[f64; 2]; 2] {
         if iteration.is_multiple_of(EXCEPTIONAL_SHIFT_EVERY) {
@@ -424,7 +424,8 @@ fn reflect<const FUSED: bool>(
     }
 }
 
-/// Reflection 1 - factor v v' of a vector onto (image, 0, ...); v is one, then scale times the rest.
+/// Reflection 1 - factor v v' of a vector onto (image, 0, ...); v is one, then scale times the
+/// other entries of the vector.
 struct Reflection {
     image: Lanes,
     scale: Lanes,

@@ -6,6 +6,7 @@ mod eigenvalues;
 mod experiment;
 mod least_squares;
 mod load_stream;
+mod open_loops;
 mod parameters;
 mod statespace;
 mod symmetric_filter;
@@ -24,6 +25,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     triangular::register(module)?;
     symmetric_filter::register(module)?;
     eigenvalues::register(module)?;
+    open_loops::register(module)?;
     parameters::register(module)?;
     module.add("GEAR_CORNER", strainwave_core::joint::gear::CORNER)?;
     Ok(())

@@ -34,7 +34,7 @@ fn distance(values: &[[f64; 2]], expected: &[[f64; 2]]) -> f64 {
 }
 
 proptest! {
-    /// Blocks of two rows with known eigenvalues, in a chain of rotations: an orthogonal similarity.
+    /// Blocks of two rows with known eigenvalues, after rotations: an orthogonal similarity.
     #[test]
     fn eigenvalues_are_those_of_the_blocks(
         blocks in 1usize..12,
@@ -47,7 +47,7 @@ proptest! {
         for draws in draws.chunks_exact(3 * n + blocks) {
             let mut a = vec![0.0; n * n];
             for k in 0..blocks {
-                let (i, [re, im, above]) = (2 * k, [draws[3 * k], draws[3 * k + 1], draws[3 * k + 2]]);
+                let (i, [re, im, above]) = (2 * k, [0, 1, 2].map(|part| draws[3 * k + part]));
                 a[i * n + i] = re;
                 a[(i + 1) * n + i + 1] = if k % 3 == 0 { im } else { re };
                 if k % 3 == 0 {
@@ -64,7 +64,8 @@ proptest! {
                 if i == j {
                     continue;
                 }
-                let mut rotation: Vec<f64> = (0..n * n).map(|k| f64::from(k / n == k % n)).collect();
+                let unit = |k: usize| f64::from(k / n == k % n);
+                let mut rotation: Vec<f64> = (0..n * n).map(unit).collect();
                 let (sine, cosine) = (3.0 * turn).sin_cos();
                 rotation[i * n + i] = cosine;
                 rotation[j * n + j] = cosine;
@@ -79,7 +80,7 @@ proptest! {
         }
         let values = eigenvalues(&matrices, n).expect("finite matrices");
         for (values, expected) in values.chunks(n).zip(expected.chunks(n)) {
-            // close eigenvalues of a block with an entry above are as sensitive as the root of rounding
+            // close eigenvalues of a block with an entry above have errors of the root of rounding
             prop_assert!(distance(values, expected) < 1e-7);
         }
     }
@@ -166,7 +167,7 @@ fn nilpotent_blocks_converge() {
     let n = 14;
     for seed in 0..200 {
         let draws = numbers(seed, n * n);
-        let is_kept = |k: usize| (draws[k] * 1e3).abs() as usize % 12 == 0;
+        let is_kept = |k: usize| ((draws[k] * 1e3).abs() as usize).is_multiple_of(12);
         let sparse: Vec<f64> = (0..n * n)
             .map(|k| if is_kept(k) { draws[k] } else { 0.0 })
             .collect();
