@@ -19,7 +19,7 @@ from strainwave.domain.keys import JointIndex
 from strainwave.numerics.linalg import eigenvalues
 from strainwave.numerics.parallel import run_parallel
 from strainwave.tune.margins import band_over
-from strainwave.tune.plants import Plants, PoleSums
+from strainwave.tune.plants import Plants, PoleSums, Resonances
 
 _N_ALIASES = 3  # of each sign; their share falls with the third power of the frequency
 _POINTS_PER_DECADE = 40
@@ -140,12 +140,12 @@ class Clock:
         return np.pi / self.period
 
 
-def frequency_grid(plants: Plants, clock: Clock) -> FloatArray:
+def frequency_grid(resonances: Resonances, clock: Clock) -> FloatArray:
     """Frequencies [rad/s] up to half of the sampling rate, dense where any plant resonates."""
     lowest = 2.0 * np.pi * _LOWEST_HZ
     count = int(np.ceil(_POINTS_PER_DECADE * np.log10(clock.nyquist / lowest)))
     grids = [np.geomspace(lowest, 0.999 * clock.nyquist, count)]
-    for omega, damping in plants.resonances():
+    for omega, damping in resonances:
         width = 3.0 * np.maximum(damping, 1e-3)
         begin, end = (omega * (1.0 - width)).min(), (omega * (1.0 + width)).max()
         step = 2.0 * float(np.median(width)) / _POINTS_PER_RESONANCE
