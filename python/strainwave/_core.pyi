@@ -17,10 +17,13 @@ __all__ = [
     "Subspace",
     "balancing",
     "block_products",
+    "eigenvalues",
     "gear_laws",
     "huber_roots",
     "is_stable",
     "joint_effects",
+    "loop_margins",
+    "open_loops",
     "parameter_table",
     "reduce",
     "solve",
@@ -277,6 +280,13 @@ def block_products(
     sizes that do not fit, local unknowns of priors and entries that are not finite.
     """
 
+def eigenvalues(matrices: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Real and imaginary parts (n_matrices, n, 2) of eigenvalues of matrices (n_matrices, n, n).
+
+    Their order is not defined. The GIL is released. Raises ArithmeticError for entries that are not
+    finite, and ValueError for matrices that are not square or not contiguous.
+    """
+
 def huber_roots(
     residual: NDArray[np.float64],
     leverage: NDArray[np.float64],
@@ -287,6 +297,33 @@ def huber_roots(
     """Square roots (n_rows,) of Huber's weights, 1 for negative groups; see `root_weights`.
 
     Raises ValueError for sizes that do not fit.
+    """
+
+def loop_margins(
+    loops: NDArray[np.float64], hz: Sequence[float]
+) -> tuple[
+    NDArray[np.float64],  # gain margin [dB] (n_plants,), and its frequency [Hz]
+    NDArray[np.float64],
+    NDArray[np.float64],  # phase margin [degrees], and its frequency
+    NDArray[np.float64],
+    NDArray[np.float64],  # modulus margin, and its frequency
+    NDArray[np.float64],
+    NDArray[np.float64],  # bandwidth [Hz]
+    NDArray[np.int64],  # encirclements of -1
+]:
+    """Margins of open loops (n_plants, 2 n_omega), real and imaginary parts in turn.
+
+    The GIL is released. Raises ValueError for sizes that do not fit and loops that are not
+    contiguous.
+    """
+
+def open_loops(responses: NDArray[np.float64], roots: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Loops (n_joints, n_plants, 2 n_omega), each with the loops of the other joints closed.
+
+    `responses` (n_plants, n_pairs, 2 n_omega) are the symmetric S of pairs of joints, `roots`
+    (n_joints, 2 n_omega) are those of the factors of `tune.margins.open_loops`; columns are real
+    and imaginary parts in turn. The GIL is released. Raises ValueError for sizes that do not fit
+    and arrays that are not contiguous.
     """
 
 def reduce(

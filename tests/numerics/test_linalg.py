@@ -8,11 +8,37 @@ from scipy.linalg import expm
 
 from strainwave.domain import FloatArray
 from strainwave.numerics.linalg import (
+    eigenvalues,
     exponential,
     singular_values,
     triangular_factor,
     weighted_factor,
 )
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 8, 20, 48, 69])
+@pytest.mark.parametrize("count", [1, 8, 21])
+def test_eigenvalues_are_lapacks(n: int, count: int) -> None:
+    rng = np.random.default_rng(n + count)
+    units = 10.0 ** rng.uniform(-6.0, 6.0, n)  # of states, which balancing removes
+    matrices = rng.normal(size=(count, n, n)) * units / units[:, None]
+    expected, values = np.linalg.eigvals(matrices), eigenvalues(matrices)
+    distance = np.abs(values[:, :, None] - expected[:, None])
+    # backward errors of both are some roundings of a norm of about the root of n
+    assert max(distance.min(axis=1).max(), distance.min(axis=2).max()) < 1e-11
+
+
+def test_eigenvalues_take_strided_matrices_and_none() -> None:
+    matrices = np.random.default_rng(1).normal(size=(4, 5, 10))[..., ::2]
+    np.testing.assert_array_equal(eigenvalues(matrices), eigenvalues(matrices.copy()))
+    assert eigenvalues(matrices[:0]).shape == (0, 5)
+
+
+def test_eigenvalues_of_what_is_not_finite_are_refused() -> None:
+    with pytest.raises(np.linalg.LinAlgError, match="finite"):
+        eigenvalues(np.full((2, 3, 3), np.nan))
+    with pytest.raises(ValueError, match="square"):
+        eigenvalues(np.zeros((2, 3, 4)))
 
 
 @pytest.mark.parametrize("shape", [(7, 7), (399, 4), (800, 3), (2501, 22), (1000, 450)])

@@ -158,3 +158,12 @@ def test_a_design_without_a_move_states_why_observers_are_unchecked() -> None:
     assert not result.estimation
     assert result.unchecked == "a move takes more than 1 s"
     assert "not compared in a move: a move takes more than 1 s." in render(result)
+
+
+def test_a_design_without_plans_states_why_no_moves_are_compared() -> None:
+    error = InvalidInput("a move takes more than 1 s", remedy="choose a smaller move")
+    with patch.object(design_module, "plan_moves", side_effect=error):
+        result = design_servo(rig(8192), None, ServoOptions(postures=((0.0, 0.0),), draws=1))
+    assert result.modes_hz.any()
+    assert result.moves == result.estimation == ()
+    assert result.refusal == result.unchecked == "a move takes more than 1 s"

@@ -137,7 +137,7 @@ def test_sampled_responses_are_those_of_the_exact_discretisation(
     plants: Plants, delay: float
 ) -> None:
     clock = Clock(1e-3, delay)
-    omega = frequency_grid(plants, clock)[::10]
+    omega = frequency_grid(plants.resonances(), clock)[::10]
     omega = omega[omega < 0.9 * clock.nyquist]
     exact = exact_responses(sample(plants, clock), np.exp(1j * omega * clock.period))
     responses = full(SampledResponses.of(plants, omega, clock))
@@ -208,6 +208,14 @@ def test_loops_of_six_joints_are_those_of_a_solution_at_each_frequency() -> None
     )
 
 
+def test_sizes_that_do_not_fit_are_refused() -> None:
+    loops = np.ones((3, 5), dtype=complex)
+    with pytest.raises(ValueError, match="4 frequencies, got 10 numbers"):
+        margins_of(loops, OMEGA[:4])
+    with pytest.raises(ValueError, match="all pairs of 2 joints"):
+        open_loops(np.ones((7, 2, 5), dtype=complex), loops[:2])
+
+
 def test_bands_contain_all_loops_and_begin_with_the_estimates() -> None:
     s = 1j * OMEGA
     loops = np.array([gain / s**2 / (1.0 + 0.01 * s) for gain in (10.0, 20.0, 5.0)])
@@ -251,12 +259,12 @@ def test_steps_equal_the_recursion_sample_by_sample(plants: Plants, by_velocity:
 
 
 @pytest.mark.parametrize("factor", [0.5, 3.0])
-def test_stability_by_powers_is_that_of_the_poles(plants: Plants, factor: float) -> None:
+def test_stability_is_that_of_lapacks_poles(plants: Plants, factor: float) -> None:
     """Also where a loop without position loop has a pole at one, and near the stability limit."""
     sampled = sample(plants, Clock(1e-3, 0.4e-3))
     gains = [replace(each, kp=factor * each.kp, position_gain=0.0) for each in GAINS]
     loop = close(sampled, [each.law() for each in gains])
-    largest = np.abs(loop.poles()).max(axis=1)
+    largest = np.abs(np.linalg.eigvals(loop.A)).max(axis=1)
     np.testing.assert_array_equal(loop.are_stable(), largest < 1.0 + 1e-6)
     for limit in np.outer(np.sort(largest), [1.0 - 1e-7, 1.0 + 1e-7]).ravel().tolist():
         np.testing.assert_array_equal(loop.are_stable(limit), largest < limit)

@@ -40,7 +40,7 @@ from strainwave.tune.margins import (
     margins_of,
     open_loops,
 )
-from strainwave.tune.plants import Plants
+from strainwave.tune.plants import Plants, Resonances
 
 MAX_RIPPLE_SHARE = 0.05
 """Largest share of the voltage limit by which one count of the encoder changes the voltage."""
@@ -75,14 +75,16 @@ class Loops:
 
     plants: Plants
     clock: Clock
+    resonances: Resonances  # with free motors
     sampled: SampledPlants
     responses: SampledResponses
 
     @classmethod
     def of(cls, plants: Plants, clock: Clock) -> Loops:
         """The loops of plants under a clock."""
-        responses = SampledResponses.of(plants, frequency_grid(plants, clock), clock)
-        return cls(plants, clock, sample(plants, clock), responses)
+        resonances = plants.resonances()
+        responses = SampledResponses.of(plants, frequency_grid(resonances, clock), clock)
+        return cls(plants, clock, resonances, sample(plants, clock), responses)
 
     @property
     def omega(self) -> FloatArray:
@@ -142,9 +144,8 @@ def tune_cascades(
     with np.errstate(divide="ignore"):
         max_kp = MAX_RIPPLE_SHARE * limits * period / resolutions
     search = np.flatnonzero(plants.draw <= _N_SEARCH_DRAWS)
-    resonances = plants.resonances()
     tuners = [
-        _Tuner(loops, required, resonances, i, float(inertia), float(largest))
+        _Tuner(loops, required, i, float(inertia), float(largest))
         for i, (inertia, largest) in enumerate(zip(inertias, max_kp, strict=True))
     ]
     start = _START_BANDWIDTH / (period + loops.clock.delay)
@@ -181,7 +182,6 @@ class _Tuner:
 
     loops: Loops
     required: Requirements
-    resonances: Sequence[tuple[FloatArray, FloatArray]]  # of `Plants.resonances`
     joint: int  # from 0
     inertia: float  # [V s^2/rad] at the motor, without torsion
     max_kp: float  # [V s/rad], by the encoder
@@ -286,7 +286,7 @@ class _Tuner:
             return (notch(frequency_hz, width, _NOTCH_DEPTH, period),)
 
         yield from (partial(low_pass_over, ratio) for ratio in _LOW_PASS_RATIOS)
-        for omega, _ in self.resonances:
+        for omega, _ in self.loops.resonances:
             low, high = float(omega[search].min()), float(omega[search].max())
             if high < highest:
                 frequency_hz = float(np.sqrt(low * high)) / (2.0 * np.pi)

@@ -12,22 +12,20 @@ from functools import partial
 from typing import TypeVar
 
 import numpy as np
-from scipy.linalg import expm, matrix_balance
+from scipy.linalg import expm
 
 from strainwave.domain import BoolArray, ComplexArray, ControlLaw, FloatArray, IntArray
 from strainwave.domain.keys import JointIndex
+from strainwave.numerics.linalg import eigenvalues
 from strainwave.numerics.parallel import run_parallel
 from strainwave.tune.margins import band_over
-from strainwave.tune.plants import Plants, PoleSums
+from strainwave.tune.plants import Plants, PoleSums, Resonances
 
 _N_ALIASES = 3  # of each sign; their share falls with the third power of the frequency
 _POINTS_PER_DECADE = 40
 _POINTS_PER_RESONANCE = 24  # over three half-power bandwidths
 _LOWEST_HZ = 0.05
 _PART = 100  # plants
-_MAX_SQUARINGS = 26  # of a loop whose slowest pole is at the largest stable one
-_SMALL_POWER = 0.5  # norm of a power of a stable loop, beyond rounding
-_LARGE_POWER = 1e5  # norm beyond which rounding of the square is not small
 
 POLE_TOLERANCE = 1e-6
 """Rounding of the pole at one of a servo without a position loop."""
@@ -142,12 +140,12 @@ class Clock:
         return np.pi / self.period
 
 
-def frequency_grid(plants: Plants, clock: Clock) -> FloatArray:
+def frequency_grid(resonances: Resonances, clock: Clock) -> FloatArray:
     """Frequencies [rad/s] up to half of the sampling rate, dense where any plant resonates."""
     lowest = 2.0 * np.pi * _LOWEST_HZ
     count = int(np.ceil(_POINTS_PER_DECADE * np.log10(clock.nyquist / lowest)))
     grids = [np.geomspace(lowest, 0.999 * clock.nyquist, count)]
-    for omega, damping in plants.resonances():
+    for omega, damping in resonances:
         width = 3.0 * np.maximum(damping, 1e-3)
         begin, end = (omega * (1.0 - width)).min(), (omega * (1.0 + width)).max()
         step = 2.0 * float(np.median(width)) / _POINTS_PER_RESONANCE
@@ -279,26 +277,11 @@ class ClosedLoop:
 
     def poles(self) -> ComplexArray:
         """Poles (n_plants, n)."""
-        return np.asarray(np.linalg.eigvals(self.A))
+        return eigenvalues(self.A)
 
     def are_stable(self, limit: float = 1.0 + POLE_TOLERANCE) -> BoolArray:
-        """Whether all poles of plants (n_plants,) are smaller than a limit.
-
-        They are if a power of A over the limit is much smaller than one, which takes less than half
-        of the time of the poles. These are computed where no power is small.
-        """
-        _, (scale, _) = matrix_balance(self.A[0], permute=False, separate=True)
-        power, unknown = self.A * (scale / scale[:, None] / limit), np.arange(len(self.A))
-        stable = np.zeros(len(self.A), dtype=bool)
-        for _ in range(_MAX_SQUARINGS):
-            power = power @ power
-            norm = np.sqrt(np.einsum("pij,pij->p", power, power))
-            stable[unknown[norm < _SMALL_POWER]] = True
-            is_open = (norm >= _SMALL_POWER) & (norm < _LARGE_POWER)
-            power, unknown = power[is_open], unknown[is_open]
-        others = np.flatnonzero(~stable)
-        stable[others] = np.abs(np.linalg.eigvals(self.A[others])).max(axis=1) < limit
-        return stable
+        """Whether all poles of plants (n_plants,) are smaller than a limit."""
+        return np.asarray(np.abs(self.poles()).max(axis=1) < limit)
 
     def pulse_responses(self, inputs: Sequence[int], n_samples: int) -> FloatArray:
         """Link angles (n_joints, n_plants, n_samples) after a pulse of each joint's reference.

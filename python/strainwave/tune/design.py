@@ -36,6 +36,7 @@ from strainwave.tune.verification import (
     MoveComparison,
     compare_moves,
     errors_in_a_move,
+    plan_moves,
 )
 
 _DEFAULT_PERIOD = 1e-3  # [s] of the servo
@@ -142,18 +143,14 @@ def design_servo(
     clock, limits = _drives(arm, options)
     noise = noise or IdentifiedNoise()
     progress("drawing plants")
-    rng = np.random.default_rng(options.seed)
-    drawn = drawn_values(arm, covariance, options.draws, rng)
+    drawn = drawn_values(arm, covariance, options.draws, np.random.default_rng(options.seed))
     plants, draws = without_impossible(plants_of(arm, drawn, conditions), drawn)
     loops = Loops.of(plants, clock)
     progress("tuning the loops")
     resolutions = np.array([joint.encoder_resolution for joint in arm.study.arm.joints])
     tuned, judged = tune_cascades(loops, options.required, resolutions=resolutions, limits=limits)
     progress("simulating steps")
-    gains, servo, current = [each for each, _ in tuned], arm.study.arm.servo, None
-    if servo is not None:
-        of_joints = servo.kp, servo.ki, servo.position_gain or (0.0,) * len(servo.kp)
-        current = [Gains(*each, clock.period) for each in zip(*of_joints, strict=True)]
+    gains, current = [each for each, _ in tuned], _current_gains(arm, clock)
     results = _results(judged, loops.sampled, gains)
     if options.bandwidth_hz is not None:
         _check_bandwidth([limit for _, limit in tuned], results, options.bandwidth_hz, clock)
@@ -183,11 +180,16 @@ def design_servo(
     moves: tuple[MoveComparison, ...] = ()
     estimation: tuple[EstimationError, ...] = ()
 
+    try:
+        plans = plan_moves(arm, posture, clock.period, limits)
+    except InvalidInput as error:
+        plans, refusal, unchecked = [], error.problem, error.problem
+
     def simulate_moves() -> None:
         nonlocal moves, estimation, refusal, unchecked
         try:
             few = draws[: _N_MOVE_DRAWS + 1]
-            moves = compare_moves(arm, (gains, current), few, posture, limits)
+            moves = compare_moves(arm, (gains, current), few, plans, limits)
             if observers:
                 pair, few = (observers, by_encoders), draws[: _N_ESTIMATION_DRAWS + 1]
                 estimation = errors_in_a_move(arm, pair, few, gains, posture, limits)
@@ -195,8 +197,10 @@ def design_servo(
             unchecked = getattr(error, "problem", str(error))
             refusal = "" if moves else unchecked
 
-    # shapers need the interpreter, simulations do not
-    (modes, shapers), _ = both(partial(_shapers, plants, clock), simulate_moves)
+    # shapers need the interpreter, as plans do, but simulations do not
+    (modes, shapers), _ = both(
+        partial(_shapers, plants, clock), simulate_moves if plans else lambda: None
+    )
     return ServoDesign(
         arm=arm,
         options=options,
@@ -254,6 +258,14 @@ def _drives(arm: IdentifiedArm, options: ServoOptions) -> tuple[Clock, FloatArra
             "[[joint]] tables have limits = { effort = ... } [N m at the joint]",
         )
     return Clock(period, delay), limits
+
+
+def _current_gains(arm: IdentifiedArm, clock: Clock) -> list[Gains] | None:
+    """Gains of the servo of the study, if it has one."""
+    if (servo := arm.study.arm.servo) is None:
+        return None
+    of_joints = servo.kp, servo.ki, servo.position_gain or (0.0,) * len(servo.kp)
+    return [Gains(*each, clock.period) for each in zip(*of_joints, strict=True)]
 
 
 def _results(

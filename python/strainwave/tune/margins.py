@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
-from itertools import combinations_with_replacement
 from typing import TypeVar
 
 import numpy as np
 
+from strainwave import _core
 from strainwave.domain import ComplexArray, FloatArray, IntArray
 
 Record = TypeVar("Record")
@@ -77,56 +77,8 @@ def margins_of(loop: ComplexArray, omega: FloatArray) -> Margins:
     first frequency through the lower half plane. By Nyquist's criterion, they differ between two
     stable control laws of a plant by the difference of the numbers of unstable closed-loop poles.
     """
-    hz, every = omega / (2.0 * np.pi), np.arange(len(loop))
-
-    def hz_at(columns: IntArray, share: FloatArray) -> FloatArray:
-        return np.asarray(hz[columns] + share * np.diff(hz)[columns])
-
-    def least(values: FloatArray, rows: IntArray, at_hz: FloatArray) -> tuple[FloatArray, ...]:
-        lowest, lowest_hz = np.full(len(loop), np.inf), np.full(len(loop), np.nan)
-        order = np.lexsort((values, rows))[::-1]  # the last of repeated rows is assigned
-        lowest[rows[order]], lowest_hz[rows[order]] = values[order], at_hz[order]
-        return lowest, lowest_hz
-
-    # distance of the gain from one where the loop crosses the negative real axis
-    rows, columns = _crossings(loop.imag)
-    share = _shares(loop.imag[rows, columns], loop.imag[rows, columns + 1])
-    begin, end = loop.real[rows, columns], loop.real[rows, columns + 1]
-    at_axis = begin + share * (end - begin)
-    half_plane = np.sign(loop.imag)
-    upwards = half_plane[rows, columns + 1] - half_plane[rows, columns]
-    between = np.bincount(rows, upwards * (at_axis < -1.0), len(loop))
-    at_first = 2.0 * (half_plane[:, 0] > 0.0)
-    at_last = half_plane[:, -1] * (loop.real[:, -1] < -1.0)  # closed at half the sampling rate
-    db = np.abs(20.0 * np.log10(np.maximum(np.abs(at_axis), 1e-300)))
-    used = at_axis < 0.0
-    gain_db, gain_hz = least(db[used], rows[used], hz_at(columns, share)[used])
-    # distance of the phase from -180 degrees where the gain is one; the highest such place
-    size = np.abs(loop)
-    rows, columns = _crossings(size - 1.0)
-    before, after = loop[rows, columns], loop[rows, columns + 1]
-    share = _shares(*(np.log(np.maximum(np.abs(each), 1e-300)) for each in (before, after)))
-    turn = np.angle(after / np.where(before == 0.0, 1.0, before))
-    wrapped = (np.angle(-before) + share * turn + np.pi) % (2.0 * np.pi) - np.pi
-    at_hz, bandwidth = hz_at(columns, share), np.zeros(len(loop))
-    phase_deg, phase_hz = least(np.abs(np.degrees(wrapped)), rows, at_hz)
-    bandwidth[rows] = at_hz  # the last of repeated rows is assigned
-    distance = np.abs(1.0 + loop)
-    at = np.argmin(distance, axis=1)
-    modulus, turns = (distance[every, at], hz[at]), (between + at_first - at_last).astype(int)
-    return Margins(gain_db, gain_hz, phase_deg, phase_hz, *modulus, bandwidth, turns)
-
-
-def _crossings(values: FloatArray) -> tuple[IntArray, IntArray]:
-    """Plants, and intervals between columns in which values change their sign: in their order."""
-    rows, columns = np.nonzero(values[:, :-1] * values[:, 1:] <= 0.0)
-    return rows, columns
-
-
-def _shares(begin: FloatArray, end: FloatArray) -> FloatArray:
-    """Where in their intervals linear functions are zero."""
-    span = end - begin
-    return np.divide(-begin, span, out=np.zeros_like(span), where=span != 0.0)
+    pairs = np.ascontiguousarray(loop).view(np.float64)
+    return Margins(*_core.loop_margins(pairs, (omega / (2.0 * np.pi)).tolist()))
 
 
 def open_loops(responses: ComplexArray, factors: ComplexArray) -> ComplexArray:
@@ -137,25 +89,11 @@ def open_loops(responses: ComplexArray, factors: ComplexArray) -> ComplexArray:
     joint i is
 
         L_i = 1 / [(1 + g S g)^-1]_ii - 1,   g = diag(sqrt(f))
-
-    The inverse is that of Dempster's sweep, for all plants and frequencies at a time: it takes half
-    of the time of a solution for each of them.
     """
-    n, roots = len(factors), np.sqrt(factors)
-    a: list[dict[int, ComplexArray]] = [{} for _ in range(n)]
-    for k, (i, j) in enumerate(combinations_with_replacement(range(n), 2)):
-        a[i][j] = a[j][i] = responses[:, k] * (roots[i] * roots[j]) + float(i == j)
-    product = np.empty_like(a[0][0])
-    for k in range(n):
-        inverse, others = 1.0 / a[k][k], [i for i in range(n) if i != k]
-        rows = {i: a[i][k] * inverse for i in others}
-        for i in others:
-            for j in (j for j in others if j == i or j > max(i, k)):  # the others are not used
-                a[i][j] -= np.multiply(rows[i], a[j][k], out=product)
-        for i in others:
-            a[i][k] = a[k][i] = rows[i]
-        a[k][k] = -inverse
-    return np.stack([-1.0 / a[i][i] - 1.0 for i in range(n)])
+    pairs, roots = (
+        np.ascontiguousarray(each).view(np.float64) for each in (responses, np.sqrt(factors))
+    )
+    return _core.open_loops(pairs, roots).view(np.complex128)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

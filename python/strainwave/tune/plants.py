@@ -32,6 +32,9 @@ _N_PROBED = 8  # frequencies at which sums over poles are compared with solution
 _MAX_ROUNDING = 1e-9  # of responses
 _RIGID_SHARE = 1e-3  # of the highest frequency, below which a mode has no torsion
 
+Resonances = list[tuple[FloatArray, FloatArray]]
+"""Elastic modes, slowest first: (frequencies [rad/s], damping ratios) of all plants."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Condition:
@@ -93,10 +96,10 @@ class Plants:
         inertia = self.rigid.T @ self.mass @ self.rigid
         return np.asarray(np.diagonal(inertia, axis1=1, axis2=2))
 
-    def resonances(self, *, with_held_motors: bool = False) -> list[tuple[FloatArray, FloatArray]]:
-        """Elastic modes, slowest first: (frequencies [rad/s], damping ratios) of all plants.
+    def resonances(self, *, with_held_motors: bool = False) -> Resonances:
+        """Resonances with free motors, or with held motors.
 
-        Motors are free, or held: an ideal servo leaves the modes of the links with held motors.
+        An ideal servo leaves the modes of the links with held motors.
         """
         free = np.arange(self.mass.shape[1])
         if with_held_motors:

@@ -69,21 +69,30 @@ class MoveComparison:
     planned_link: FloatArray
 
 
+def plan_moves(
+    arm: IdentifiedArm, posture: FloatArray, period: float, limits: FloatArray
+) -> list[FeedForward]:
+    """Plans of the shortest moves of each joint from a posture [rad].
+
+    Raises `InvalidInput` if no duration up to a second stays within the voltage limit.
+    """
+    changes = MOVE * np.eye(len(posture))
+    return [shortest_plan(arm, posture, posture + each, period, limits) for each in changes]
+
+
 def compare_moves(
     arm: IdentifiedArm,
     servos: tuple[Sequence[Gains], Sequence[Gains] | None],
     draws: Sequence[Values],
-    posture: FloatArray,
+    plans: Sequence[FeedForward],
     limits: FloatArray,
 ) -> tuple[MoveComparison, ...]:
-    """Simulate moves of each joint from a posture [rad], for all draws.
+    """Simulate the planned moves of each joint, for all draws.
 
     `servos` are the gains of the designed servo, and those of the current one if there is one.
-    Raises `InvalidInput` if no duration up to a second stays within the voltage limit.
     """
     simulated, (gains, current) = Simulated.of(arm, limits), servos
     period, changes = gains[0].period, MOVE * np.eye(len(gains))
-    plans = [shortest_plan(arm, posture, posture + each, period, limits) for each in changes]
     drives = [simulated.follow(gains, plan) for plan in plans]
     drives += [
         simulated.step(servo, plan, change)

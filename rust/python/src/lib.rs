@@ -2,9 +2,11 @@
 
 mod arguments;
 mod arm;
+mod eigenvalues;
 mod experiment;
 mod least_squares;
 mod load_stream;
+mod open_loops;
 mod parameters;
 mod statespace;
 mod symmetric_filter;
@@ -22,6 +24,8 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     least_squares::register(module)?;
     triangular::register(module)?;
     symmetric_filter::register(module)?;
+    eigenvalues::register(module)?;
+    open_loops::register(module)?;
     parameters::register(module)?;
     module.add("GEAR_CORNER", strainwave_core::joint::gear::CORNER)?;
     Ok(())
