@@ -165,5 +165,6 @@ def test_a_design_without_plans_states_why_no_moves_are_compared() -> None:
     with patch.object(design_module, "plan_moves", side_effect=error):
         result = design_servo(rig(8192), None, ServoOptions(postures=((0.0, 0.0),), draws=1))
     assert result.modes_hz.any()
-    assert result.moves == result.estimation == ()
+    assert not result.moves
+    assert not result.estimation
     assert result.refusal == result.unchecked == "a move takes more than 1 s"
