@@ -15,7 +15,8 @@ $(VENV)/.installed: requirements-run.lock
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 	  { echo 'strainwave needs Python 3.11 or later: make setup PYTHON=/path/to/python3.11'; exit 1; }
 	@command -v cargo > /dev/null || { echo 'strainwave needs a Rust toolchain: https://rustup.rs'; exit 1; }
-	cargo build --release --locked --quiet -p strainwave-arms --lib & core=$$!; \
+	cargo build --release --locked --quiet --lib \
+	  -p strainwave-arms -p strainwave-numerics -p strainwave-statespace & core=$$!; \
 	$(PYTHON) -m venv $(VENV) && \
 	  $(BIN)/pip install --quiet --disable-pip-version-check --require-hashes -r requirements-run.lock; \
 	installed=$$?; wait $$core && exit $$installed
