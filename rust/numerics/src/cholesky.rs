@@ -1,6 +1,6 @@
 //! Cholesky factor of a symmetric matrix of a few hundred rows.
 
-use crate::products::{BASELINE_IS_FUSED, multiply_add};
+use crate::products::{multiply_add, with_vectors};
 
 /// Rows of R that are subtracted from the remaining rows in one pass.
 const PANEL: usize = 8;
@@ -15,28 +15,7 @@ const LANES: usize = 8;
 /// of R. The decomposition ends at the first pivot that is not positive.
 pub fn upper_factor(matrix: &mut [f64], size: usize, pivots: usize) -> bool {
     assert_eq!(matrix.len(), size * size);
-    #[cfg(target_arch = "x86_64")]
-    if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
-        if is_x86_feature_detected!("avx512f") {
-            // SAFETY: all features have just been detected.
-            return unsafe { upper_factor_avx512(matrix, size, pivots) };
-        }
-        // SAFETY: both features have just been detected.
-        return unsafe { upper_factor_avx2(matrix, size, pivots) };
-    }
-    panels::<BASELINE_IS_FUSED>(matrix, size, pivots)
-}
-
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2,fma,avx512f")]
-fn upper_factor_avx512(matrix: &mut [f64], size: usize, pivots: usize) -> bool {
-    panels::<true>(matrix, size, pivots)
-}
-
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2,fma")]
-fn upper_factor_avx2(matrix: &mut [f64], size: usize, pivots: usize) -> bool {
-    panels::<true>(matrix, size, pivots)
+    with_vectors!(panels(matrix: &mut [f64], size: usize, pivots: usize) -> bool)
 }
 
 #[inline(always)]

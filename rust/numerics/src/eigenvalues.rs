@@ -6,7 +6,7 @@
 
 use std::sync::atomic::{Ordering, compiler_fence};
 
-use crate::products::{BASELINE_IS_FUSED, multiply_add};
+use crate::products::{multiply_add, with_vectors};
 
 /// Matrices side by side.
 const LANES: usize = 8;
@@ -32,28 +32,7 @@ type Lanes = [f64; LANES];
 /// as those of a matrix with an entry that is not finite.
 pub fn eigenvalues(matrices: &[f64], n: usize) -> Option<Vec<[f64; 2]>> {
     assert!(n > 0 && matrices.len().is_multiple_of(n * n));
-    #[cfg(target_arch = "x86_64")]
-    if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
-        if is_x86_feature_detected!("avx512f") {
-            // SAFETY: all features have just been detected.
-            return unsafe { eigenvalues_avx512(matrices, n) };
-        }
-        // SAFETY: both features have just been detected.
-        return unsafe { eigenvalues_avx2(matrices, n) };
-    }
-    each_group::<BASELINE_IS_FUSED>(matrices, n)
-}
-
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2,fma,avx512f")]
-fn eigenvalues_avx512(matrices: &[f64], n: usize) -> Option<Vec<[f64; 2]>> {
-    each_group::<true>(matrices, n)
-}
-
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2,fma")]
-fn eigenvalues_avx2(matrices: &[f64], n: usize) -> Option<Vec<[f64; 2]>> {
-    each_group::<true>(matrices, n)
+    with_vectors!(each_group(matrices: &[f64], n: usize) -> Option<Vec<[f64; 2]>>)
 }
 
 #[inline(always)]

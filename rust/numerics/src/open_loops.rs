@@ -2,7 +2,7 @@
 
 use std::sync::atomic::{Ordering, compiler_fence};
 
-use crate::products::{BASELINE_IS_FUSED, multiply_add};
+use crate::products::{multiply_add, with_vectors};
 
 /// Frequencies side by side.
 const LANES: usize = 8;
@@ -18,7 +18,8 @@ struct Lanes {
 ///
 /// `responses` (n_plants, n_pairs, n_omega) are the symmetric S of pairs of joints (0, 0), (0, 1)
 /// ... (n - 1, n - 1), `roots` (n, n_omega) the roots g of the factors by which S g^2 are the
-/// responses of all open loops. Complex numbers are pairs of real and imaginary part. The loop of joint i is
+/// responses of all open loops. Complex numbers are pairs of real and imaginary part. The loop of
+/// joint i is
 ///
 /// L_i = 1 / [(1 + g S g)^-1]_ii - 1
 ///
@@ -26,28 +27,7 @@ struct Lanes {
 pub fn open_loops(responses: &[f64], roots: &[f64], n: usize) -> Vec<f64> {
     let width = roots.len() / n;
     assert!(responses.len().is_multiple_of(n * (n + 1) / 2 * width));
-    #[cfg(target_arch = "x86_64")]
-    if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
-        if is_x86_feature_detected!("avx512f") {
-            // SAFETY: all features have just been detected.
-            return unsafe { open_loops_avx512(responses, roots, n) };
-        }
-        // SAFETY: both features have just been detected.
-        return unsafe { open_loops_avx2(responses, roots, n) };
-    }
-    each_plant::<BASELINE_IS_FUSED>(responses, roots, n)
-}
-
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2,fma,avx512f")]
-fn open_loops_avx512(responses: &[f64], roots: &[f64], n: usize) -> Vec<f64> {
-    each_plant::<true>(responses, roots, n)
-}
-
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2,fma")]
-fn open_loops_avx2(responses: &[f64], roots: &[f64], n: usize) -> Vec<f64> {
-    each_plant::<true>(responses, roots, n)
+    with_vectors!(each_plant(responses: &[f64], roots: &[f64], n: usize) -> Vec<f64>)
 }
 
 #[inline(always)]
@@ -101,8 +81,8 @@ fn sweep<const FUSED: bool>(a: &mut [Lanes], column: &mut [Lanes], n: usize) {
         for i in (0..n).filter(|&i| i != k) {
             let row = product::<FUSED>(column[i], pivot);
             subtract_product::<FUSED>(&mut a[i * n + i], row, column[i]);
+            // off the diagonal, entries of two joints before k are not used any more
             for j in i.max(k) + 1..n {
-                // the others are not used
                 subtract_product::<FUSED>(&mut a[i * n + j], row, column[j]);
             }
             a[i.min(k) * n + i.max(k)] = row;

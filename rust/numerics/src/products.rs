@@ -164,6 +164,38 @@ pub fn multiply_add<const FUSED: bool>(a: f64, b: f64, c: f64) -> f64 {
     if FUSED { a.mul_add(b, c) } else { a * b + c }
 }
 
+/// Calls a function with the widest vectors of the processor, decided at run time on x86-64.
+///
+/// The function is always inlined; its first generic argument states whether `multiply_add` is one
+/// instruction.
+macro_rules! with_vectors {
+    ($function:ident($($argument:ident: $type:ty),*) -> $result:ty) => {{
+        #[cfg(target_arch = "x86_64")]
+        #[target_feature(enable = "avx2,fma,avx512f")]
+        fn avx512($($argument: $type),*) -> $result {
+            $function::<true>($($argument),*)
+        }
+
+        #[cfg(target_arch = "x86_64")]
+        #[target_feature(enable = "avx2,fma")]
+        fn avx2($($argument: $type),*) -> $result {
+            $function::<true>($($argument),*)
+        }
+
+        #[cfg(target_arch = "x86_64")]
+        if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
+            if is_x86_feature_detected!("avx512f") {
+                // SAFETY: all features have just been detected.
+                return unsafe { avx512($($argument),*) };
+            }
+            // SAFETY: both features have just been detected.
+            return unsafe { avx2($($argument),*) };
+        }
+        $function::<{ $crate::products::BASELINE_IS_FUSED }>($($argument),*)
+    }};
+}
+pub(crate) use with_vectors;
+
 #[cfg(test)]
 mod tests {
     use super::*;

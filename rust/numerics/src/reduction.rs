@@ -1,7 +1,7 @@
 //! Weighted equations without local unknowns, their triangular factor and their leverages.
 
 use crate::elimination::{Windows, eliminate};
-use crate::products::{BASELINE_IS_FUSED, multiply_add};
+use crate::products::{multiply_add, with_vectors};
 use crate::triangular::TriangularFactor;
 
 /// Smallest diagonal entry of a factor, relative to the largest, whose unknown has leverage.
@@ -118,28 +118,7 @@ pub struct Reduced {
 ///
 /// Returns `None` if an entry of the local regressors is not finite.
 pub fn reduce(equations: Equations<'_>) -> Option<Reduced> {
-    #[cfg(target_arch = "x86_64")]
-    if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
-        if is_x86_feature_detected!("avx512f") {
-            // SAFETY: all features have just been detected.
-            return unsafe { reduce_avx512(equations) };
-        }
-        // SAFETY: both features have just been detected.
-        return unsafe { reduce_avx2(equations) };
-    }
-    reduce_with::<BASELINE_IS_FUSED>(equations)
-}
-
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2,fma,avx512f")]
-fn reduce_avx512(equations: Equations<'_>) -> Option<Reduced> {
-    reduce_with::<true>(equations)
-}
-
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2,fma")]
-fn reduce_avx2(equations: Equations<'_>) -> Option<Reduced> {
-    reduce_with::<true>(equations)
+    with_vectors!(reduce_with(equations: Equations<'_>) -> Option<Reduced>)
 }
 
 #[inline(always)]

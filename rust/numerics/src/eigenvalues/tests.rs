@@ -85,7 +85,7 @@ proptest! {
         }
     }
 
-    /// The same bits on every processor are not needed: sums and products of powers are.
+    /// Sums of eigenvalues and of their squares are traces of the matrix and of its square.
     #[test]
     fn sums_are_traces(n in 1usize..40, count in 1usize..12, seed in any::<u64>()) {
         let matrices = numbers(seed, count * n * n);
@@ -140,7 +140,8 @@ fn what_is_not_finite_has_no_eigenvalues() {
         }
     }
 }
-/// Blocks of three rows with the same eigenvalue, much smaller than those of the other rows.
+
+/// Half of the eigenvalues are nearly equal, and smaller than the others.
 #[test]
 fn small_equal_eigenvalues_converge() {
     let n = 24;
