@@ -301,20 +301,12 @@ def huber_roots(
 
 def loop_margins(
     loops: NDArray[np.float64], hz: Sequence[float]
-) -> tuple[
-    NDArray[np.float64],  # gain margin [dB] (n_plants,), and its frequency [Hz]
-    NDArray[np.float64],
-    NDArray[np.float64],  # phase margin [degrees], and its frequency
-    NDArray[np.float64],
-    NDArray[np.float64],  # modulus margin, and its frequency
-    NDArray[np.float64],
-    NDArray[np.float64],  # bandwidth [Hz]
-    NDArray[np.int64],  # encirclements of -1
-]:
-    """Margins of open loops (n_plants, 2 n_omega), real and imaginary parts in turn.
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Margins (n_plants, 7) of open loops (n_plants, 2 n_omega), and encirclements (n_plants,).
 
-    The GIL is released. Raises ValueError for sizes that do not fit and loops that are not
-    contiguous.
+    Columns of the loops are real and imaginary parts in turn, those of the margins the fields of
+    `tune.margins.Margins` in their order. The GIL is released. Raises ValueError for sizes that do
+    not fit and loops that are not contiguous.
     """
 
 def open_loops(responses: NDArray[np.float64], roots: NDArray[np.float64]) -> NDArray[np.float64]:

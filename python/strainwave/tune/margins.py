@@ -78,7 +78,8 @@ def margins_of(loop: ComplexArray, omega: FloatArray) -> Margins:
     stable control laws of a plant by the difference of the numbers of unstable closed-loop poles.
     """
     pairs = np.ascontiguousarray(loop).view(np.float64)
-    return Margins(*_core.loop_margins(pairs, (omega / (2.0 * np.pi)).tolist()))
+    margins, encirclements = _core.loop_margins(pairs, (omega / (2.0 * np.pi)).tolist())
+    return Margins(*[*margins.T, encirclements])
 
 
 def open_loops(responses: ComplexArray, factors: ComplexArray) -> ComplexArray:

@@ -1,7 +1,7 @@
 //! Control loops and their margins: convert, compute without the GIL, map the error.
 
 use numpy::{
-    IntoPyArray, PyArray1, PyArray3, PyArrayMethods, PyReadonlyArray2, PyReadonlyArray3,
+    IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray2, PyReadonlyArray3,
     PyUntypedArrayMethods,
 };
 use pyo3::exceptions::PyValueError;
@@ -40,25 +40,16 @@ fn open_loops<'py>(
     loops.into_pyarray(py).reshape([n, n_plants, width])
 }
 
-type Column<'py> = Bound<'py, PyArray1<f64>>;
+/// Numbers of margins, and encirclements.
+type MarginArrays<'py> = (Bound<'py, PyArray2<f64>>, Bound<'py, PyArray1<i64>>);
 
-/// Fields of the margins (n_plants,) of loops (n_plants, 2 n_omega) at frequencies [Hz].
+/// Margins (n_plants, 7) of loops (n_plants, 2 n_omega) at frequencies [Hz], and their encirclements.
 #[pyfunction]
-#[allow(clippy::type_complexity)]
 fn loop_margins<'py>(
     py: Python<'py>,
     loops: PyReadonlyArray2<'py, f64>,
     hz: Vec<f64>,
-) -> PyResult<(
-    Column<'py>,
-    Column<'py>,
-    Column<'py>,
-    Column<'py>,
-    Column<'py>,
-    Column<'py>,
-    Column<'py>,
-    Bound<'py, PyArray1<i64>>,
-)> {
+) -> PyResult<MarginArrays<'py>> {
     let width = loops.shape()[1];
     if width != 2 * hz.len() || width == 0 {
         return Err(PyValueError::new_err(format!(
@@ -70,15 +61,19 @@ fn loop_margins<'py>(
     let responses = loops.as_chunks().0.chunks(hz.len());
     let each: Vec<Margins> =
         py.detach(|| responses.map(|response| margins(response, &hz)).collect());
-    let column = |field: fn(&Margins) -> f64| PyArray1::from_iter(py, each.iter().map(field));
+    let rows = each.iter().flat_map(|one| {
+        [
+            one.gain_db,
+            one.gain_hz,
+            one.phase_deg,
+            one.phase_hz,
+            one.modulus,
+            one.modulus_hz,
+            one.bandwidth_hz,
+        ]
+    });
     Ok((
-        column(|margins| margins.gain_db),
-        column(|margins| margins.gain_hz),
-        column(|margins| margins.phase_deg),
-        column(|margins| margins.phase_hz),
-        column(|margins| margins.modulus),
-        column(|margins| margins.modulus_hz),
-        column(|margins| margins.bandwidth_hz),
-        PyArray1::from_iter(py, each.iter().map(|margins| margins.encirclements)),
+        PyArray1::from_iter(py, rows).reshape([each.len(), 7])?,
+        PyArray1::from_iter(py, each.iter().map(|one| one.encirclements)),
     ))
 }
