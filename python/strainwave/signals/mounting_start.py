@@ -116,9 +116,8 @@ def _record_tables(log: Log, arm: Arm, axes: Sequence[SensorAxis]) -> list[Float
     """The tables of one record; without rows for an axis that it lacks."""
     cutoff_hz, tables = _cutoff_hz(log), []
     edge = min(round(_EDGE_PERIODS / (cutoff_hz * log.sample_time)), len(log) // 4)
-    for axis, quantities in zip(
-        axes, link_quantities(axes, arm, slow_motion(log, arm)), strict=True
-    ):
+    of_axes = link_quantities(axes, arm, slow_motion(log, arm))
+    for axis, quantities in zip(axes, of_axes, strict=True):
         rows = np.zeros((0, len(axis.quantities) + 1))
         if axis.channel in log.channels:
             reading = low_pass(log.channels[axis.channel], cutoff_hz, log.sample_time)

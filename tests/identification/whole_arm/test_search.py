@@ -44,7 +44,7 @@ class Corrected:
     def resolve_modes(self, _: FloatArray) -> Corrected:
         return self
 
-    def follow(self, *_: Corrected) -> None:
+    def free_ended(self, *_: Corrected) -> None:
         """Nothing is cached."""
 
 

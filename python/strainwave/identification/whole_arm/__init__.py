@@ -214,7 +214,7 @@ def _search(start: Start, selection: Selection) -> Fit:
     ]
     with_found = set_record_effects(records, selection.arm, coarse.space.keys)
     objective = coarse.objective.replace_records(with_found).update_weights(coarse.z)
-    objective.follow(start.coarse.objective, coarse.objective)
+    objective.free_ended(start.coarse.objective, coarse.objective)
     fine = fine_search(
         replace(coarse, objective=objective),
         selection.options,

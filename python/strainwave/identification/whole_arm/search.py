@@ -190,7 +190,7 @@ def fine_search(
         fit = replace(fit, objective=corrected.update_weights(fit.z))
         if not is_corrected:
             fit = extend(fit)
-        fit.objective.follow(uncorrected, corrected)
+        fit.objective.free_ended(uncorrected, corrected)
         fit = refine(fit, options)
     return fit
 

@@ -169,9 +169,9 @@ def test_what_is_cached_is_freed_unless_the_next_search_shares_it() -> None:
     def has_cached() -> bool:
         return objective.memory.last is not None
 
-    reweighted.follow(objective)
+    reweighted.free_ended(objective)
     assert has_cached()
-    other.follow(objective, reweighted)
+    other.free_ended(objective, reweighted)
     assert not has_cached()
     assert cost_of(objective, z) == pytest.approx(cost, rel=1e-6)
 

@@ -248,8 +248,8 @@ class Objective:
         self.memory.last = self.memory.rows = None
         self.memory.long_steps = self.memory.remote = None
 
-    def follow(self, *ended: Objective) -> None:
-        """Free what objectives have cached whose searches have ended, unless this one shares it."""
+    def free_ended(self, *ended: Objective) -> None:
+        """Free the caches of objectives whose searches have ended, unless this one shares them."""
         for one in ended:
             if one.memory is not self.memory:
                 one.forget()
