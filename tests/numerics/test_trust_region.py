@@ -320,7 +320,7 @@ def test_the_cost_alone_rejects_all_but_the_first_step_where_none_helps() -> Non
     )
     assert result is not None
     assert (result.x[0], result.end) == (0.0, SearchEnd.NO_DESCENT)
-    assert result.evaluations == len(looked_at) == 2  # the start and the step
+    assert result.evaluations == len(looked_at) == 2  # the start and the first step
 
 
 def test_an_exhausted_budget_is_not_convergence() -> None:

@@ -213,7 +213,7 @@ class Visit:
         while not self.faults:
             assert time.monotonic() < limit, "no request was refused"
             self.page.wait_for_timeout(50)
-        assert all("Failed to load resource" in fault for fault in self.faults), self.faults
+        assert all("status of 400" in fault for fault in self.faults), self.faults
         self.faults.clear()
 
     def check_accessibility(self) -> None:
