@@ -1,0 +1,6 @@
+//! Programs of serial chains of six joints.
+
+use strainwave_core::experiment::known_length::ChainPrograms;
+
+/// Programs for linear and three-slope gears.
+pub static FAST: ChainPrograms<6> = ChainPrograms::compile();
