@@ -10,7 +10,8 @@ RUST   := $(shell find rust -name '*.rs' -o -name Cargo.toml 2>/dev/null) Cargo.
 
 setup: $(VENV)/.built
 
-# Compiles most of the core while pip installs the packages.
+# Compiles most of the core while pip installs the packages. Python compiles their files beside maturin,
+# because each run would where none may write.
 $(VENV)/.installed: requirements-run.lock
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 	  { echo 'strainwave needs Python 3.11 or later: make setup PYTHON=/path/to/python3.11'; exit 1; }
@@ -18,13 +19,15 @@ $(VENV)/.installed: requirements-run.lock
 	cargo build --release --locked --quiet --lib \
 	  -p strainwave-arms -p strainwave-numerics -p strainwave-statespace & core=$$!; \
 	$(PYTHON) -m venv $(VENV) && \
-	  $(BIN)/pip install --quiet --disable-pip-version-check --require-hashes -r requirements-run.lock; \
+	  $(BIN)/pip install --quiet --no-compile --disable-pip-version-check --require-hashes \
+	    -r requirements-run.lock; \
 	installed=$$?; wait $$core && exit $$installed
 	@touch $@
 
 $(VENV)/.built: $(VENV)/.installed pyproject.toml $(RUST)
-	VIRTUAL_ENV=$(abspath $(VENV)) $(BIN)/maturin develop --release --locked --quiet
-	@$(BIN)/python -m compileall -q python/strainwave  # or each run would, where none may write
+	nice $(BIN)/python -m compileall -qq $(VENV)/lib python/strainwave & \
+	VIRTUAL_ENV=$(abspath $(VENV)) $(BIN)/maturin develop --release --locked --quiet; \
+	built=$$?; wait; exit $$built
 	@touch $@
 
 # The packages of tests, checks, benchmarks and documentation.
