@@ -155,7 +155,7 @@ def identify(
             ]
             or None,
             start=start,
-            progress=pipeline.with_report_loading(report),
+            progress=pipeline.with_output_loading(report),
             scheduler=scheduler,
         )
         pipeline.write(identification, out, figures=figures, progress=report)

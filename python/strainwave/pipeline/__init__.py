@@ -57,7 +57,7 @@ from strainwave.report.matplotlib_backend import images
 from strainwave.signals.motor import activity_of
 from strainwave.version import __version__
 
-__all__ = ["STAGES", "check_input", "check_stages", "identify", "with_report_loading", "write"]
+__all__ = ["STAGES", "check_input", "check_stages", "identify", "with_output_loading", "write"]
 
 
 def check_stages(names: str | Sequence[str]) -> tuple[Stage, ...]:
@@ -183,18 +183,20 @@ def _explain_suspicion(
     return fit.warn([warning]), replace(consistency, suspected=accepted)
 
 
-def with_report_loading(progress: Progress) -> Progress:
-    """Wrap a progress callback: a thread loads the report's code during the whole-arm fit."""
+def with_output_loading(progress: Progress) -> Progress:
+    """Wrap a progress callback: during the whole-arm fit, a thread loads the code of the output."""
     threads: list[Thread] = []
 
-    def load_report() -> None:
-        from strainwave.report.document.blocks import load_template  # loads the whole report
+    def load_output() -> None:
+        from strainwave.io import results  # noqa: F401
+        from strainwave.report import terminal  # noqa: F401
+        from strainwave.report.document.blocks import load_page
 
-        load_template("document/page")
+        load_page()
 
     def follow(event: ProgressEvent) -> None:
         if event.stage == "tuned" and not threads:
-            threads.append(Thread(target=load_report))
+            threads.append(Thread(target=load_output))
             threads[0].start()
         progress(event)
 

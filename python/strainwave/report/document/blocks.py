@@ -333,12 +333,18 @@ _GREEK = {
 }
 
 
+def load_page() -> None:
+    """Compile the templates of a page, as the first page would."""
+    for template in ("document/page", "document/blocks"):
+        _load_template(template)
+
+
 def fill_template(template: str, **values: Any) -> str:
     """The HTML of a template; every text is escaped, and a missing value is an error."""
-    return load_template(template).render(**values)
+    return _load_template(template).render(**values)
 
 
-def load_template(template: str) -> Template:
+def _load_template(template: str) -> Template:
     """A compiled template of this package, named without its ending: "document/page"."""
     return _environment().get_template(f"{template}.html.j2")
 
