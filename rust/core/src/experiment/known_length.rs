@@ -14,8 +14,7 @@ use crate::sensitivity::{Request, Sensitivities};
 /// A chain whose number of joints the compiler knows.
 pub type Chain<const LENGTH: usize> = SerialChain<LENGTH, true>;
 
-/// Programs of chains of one length, for linear and three-slope gears. Methods panic if the chain has
-/// another number of joints.
+/// Programs of chains of one length, for linear and three-slope gears.
 pub struct ChainPrograms<const LENGTH: usize> {
     /// Simulation without effects.
     pub simulation: Simulation<Chain<LENGTH>, LENGTH>,
