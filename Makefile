@@ -10,8 +10,8 @@ RUST   := $(shell find rust -name '*.rs' -o -name Cargo.toml 2>/dev/null) Cargo.
 
 setup: $(VENV)/.built
 
-# Compiles most of the core while pip installs the packages. Python compiles their files beside maturin,
-# because each run would where none may write.
+# Compiles most of the core while pip installs the packages. Their bytecode is compiled while maturin runs,
+# because without write permission every run would compile it again.
 $(VENV)/.installed: requirements-run.lock
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 	  { echo 'strainwave needs Python 3.11 or later: make setup PYTHON=/path/to/python3.11'; exit 1; }
